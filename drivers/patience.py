@@ -42,36 +42,36 @@ class Patience:
 
         ``look`` is called at every slice of a wait and may raise to end it.
         """
-        self._left_s = max(limit_s, 0.0)
+        self._remaining_s = max(limit_s, 0.0)
         self._looked_s = time.monotonic()
         self._whole, self._look = whole, look
 
     @property
-    def left_s(self) -> float:
+    def remaining_s(self) -> float:
         """Remaining time [s]; 0 when the limit is over."""
         if self._look is not None:
             self._look()
         now_s = time.monotonic()
         gone_s, self._looked_s = now_s - self._looked_s, now_s
-        if gone_s > MOST_S and self._left_s > 0.0:  # one more slice, to read what came meanwhile
-            self._left_s = max(self._left_s - MOST_S, min(self._left_s, SLICE_S))
+        if gone_s > MOST_S and self._remaining_s > 0.0:  # one more slice, to read what came meanwhile
+            self._remaining_s = max(self._remaining_s - MOST_S, min(self._remaining_s, SLICE_S))
         else:
-            self._left_s = max(self._left_s - gone_s, 0.0)
-        return self._left_s if self._whole is None else min(self._left_s, self._whole.left_s)
+            self._remaining_s = max(self._remaining_s - gone_s, 0.0)
+        return self._remaining_s if self._whole is None else min(self._remaining_s, self._whole.remaining_s)
 
     @property
     def over(self) -> bool:
         """Whether no time remains."""
-        return self.left_s <= 0.0
+        return self.remaining_s <= 0.0
 
     @property
     def slice_s(self) -> float:
         """How long to wait now [s]; 0 when the limit is over."""
-        return min(self.left_s, SLICE_S)
+        return min(self.remaining_s, SLICE_S)
 
     def share(self, part: float) -> Self:
         """Return a limit of a part of the remaining time; its waits also count for this limit."""
-        return type(self)(part * self.left_s, self)
+        return type(self)(part * self.remaining_s, self)
 
 
 def patient_get(waiting: queue.SimpleQueue[T], patience: Patience) -> T:

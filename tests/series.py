@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.cell.driving.cell import build_plant
-from cellapp.cell.planning.plan import draw_stops
+from cellapp.cell.planning.plan import sample_stops
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.chain import flange_poses
@@ -28,7 +28,7 @@ def twin() -> Profile:
 
 @lru_cache(maxsize=1)
 def _pool() -> Mapping[str, Array]:
-    return draw_stops(cell_bodies(twin()), twin(), _POOL, np.random.default_rng(99))
+    return sample_stops(cell_bodies(twin()), twin(), _POOL, np.random.default_rng(99))
 
 
 @dataclass(frozen=True)

@@ -41,7 +41,6 @@ from cellapp.ground.control import JobControl
 from cellapp.ground.outputs import NEW_ONLY, Outputs
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.schema import Plant
-from cellapp.ground.progress import Listener, ignore
 
 Page = Callable[[CertificateResult], str]
 
@@ -53,7 +52,6 @@ def certificate_run(run: RunFile, page: Page, now: datetime | None = None, **ask
 
 def check_run(
     run: RunFile,
-    listener: Listener = ignore,
     control: JobControl | None = None,
     *,
     simulated_plant: Plant | None = None,
@@ -61,7 +59,7 @@ def check_run(
     **asked: Any,
 ) -> CheckResult:
     request: Any = check.VERB.asked({"folder": run.folder, **asked})
-    return check_asked(run, request, Work(listener, control or JobControl()), simulated_plant, open_with)
+    return check_asked(run, request, Work(control or JobControl()), simulated_plant, open_with)
 
 
 def collect_stops(run: RunFile, **asked: Any) -> CollectResult:
@@ -96,14 +94,13 @@ def import_new_run(
 def locate_run(
     run: RunFile,
     stops: int | None = None,
-    listener: Listener = ignore,
     control: JobControl | None = None,
     *,
     ask: Callable[[str], bool] | None = None,
     **opening: Any,
 ) -> LocateResult:
     request: Any = check.VERB.asked({"folder": run.folder, "tracker_moved": True, "stops": stops})
-    return locate_asked(run, request, Work(listener, control or JobControl(), lambda profile_name: ask), **opening)
+    return locate_asked(run, request, Work(control or JobControl(), lambda profile_name: ask), **opening)
 
 
 def plan_new_run(profile: Profile, folder: Path, **asked: Any) -> PlanResult:
@@ -114,7 +111,6 @@ def plan_new_run(profile: Profile, folder: Path, **asked: Any) -> PlanResult:
 def push_run(
     run: RunFile,
     targets: Sequence[Target],
-    listener: Listener = ignore,
     control: JobControl | None = None,
     *,
     ask: Callable[[str], bool] | None = None,
@@ -122,8 +118,8 @@ def push_run(
 ) -> VerifyResult:
     request: Any = push.VERB.asked({"folder": run.folder, "targets": tuple(targets), **asked})
     control = control or JobControl()
-    with running_job(run, control, request.job_name() or "push", listener) as heard:
-        return push_targets(run, request, Work(heard, control, lambda profile_name: ask))
+    with running_job(run, control, request.job_name() or "push"):
+        return push_targets(run, request, Work(control, lambda profile_name: ask))
 
 
 def report_run(run: RunFile, write_page: Callable[[RunFile], Path]) -> ReportResult:

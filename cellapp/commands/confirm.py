@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from cellapp.cell.driving.examination import examine
+from cellapp.cell.driving.diagnosis import examine
 from cellapp.cell.driving.motion import Confirm, Vector
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import CheckFailed, InputError

@@ -14,7 +14,7 @@ from cellapp.cell.profile import load_profile
 from cellapp.commands.record import Asked, ProfilePath, Request, Verb, View, Work
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Arm, Profile
-from cellapp.ground.progress import CancelToken
+from cellapp.ground.progress import JobToken
 from cellapp.ground.results import Record, Result
 from drivers.arms.settings import EmulatedController
 from drivers.emulators.tracker_bridge import TrackerBridgeEmulator
@@ -177,7 +177,7 @@ def _hosts(controllers: Mapping[str, EmulatedController]) -> dict[str, str]:
 
 def emulate(
     profile: Profile,
-    cancel: CancelToken,
+    job: JobToken,
     announce: Callable[[EmulateResult], None],
     arms: Sequence[EmulatedArm] | None = None,
     pace: float = 1.0,
@@ -230,7 +230,7 @@ def emulate(
         listening = tuple(_listening(arm, server.addresses) for arm in chosen)
         served = EmulateResult(pace=pace, arms=listening, tracker=bridge)
         announce(served)
-        while not cancel.wait(_STEP_S):
+        while not job.wait(_STEP_S):
             _check(server)
         return served
 

@@ -119,10 +119,10 @@ def next_step(
         return missing
     results = results or read_results(run, stages)
     readings = {name: run.readings(name) for name in run.profile.arms if arms[name].measured}
-    left = list(open_steps(run.profile, results, judge_run(run.profile, results, measured_conditions(readings))))
-    tests = (one for one in left if one.verb == ISO9283 and one.command)
+    remaining = list(open_steps(run.profile, results, judge_run(run.profile, results, measured_conditions(readings))))
+    tests = (one for one in remaining if one.verb == ISO9283 and one.command)
     again = (step for words, step in _again(run) if any(one.startswith(words) for one in complaints))
-    return next((one for found in (tests, again, left) for one in found), Step(""))
+    return next((one for found in (tests, again, remaining) for one in found), Step(""))
 
 
 def open_steps(profile: Profile, results: RunResults, judgements: Sequence[Judgement]) -> Iterator[Step]:

@@ -25,7 +25,6 @@ from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs, Writes
-from cellapp.ground.progress import Listener, ignore
 
 if TYPE_CHECKING:
     from cellapp.cell.run import RunFile
@@ -165,8 +164,8 @@ class Work:
 
     Attributes
     ----------
-    listener, control
-        The listener takes the progress; the control asks for pause and stop.
+    control : JobControl
+        Takes the progress; asks for pause and stop.
     certificate_page : callable
         Result of a certificate -> its page as HTML.
     ask : callable
@@ -182,7 +181,6 @@ class Work:
         Write the page of a run into its folder; return its path.
     """
 
-    listener: Listener = ignore
     control: JobControl = field(default_factory=JobControl)
     ask: Callable[[str], Callable[[str], bool] | None] = field(default=lambda profile_name: None)
     outputs: Outputs = NEW_ONLY

@@ -11,9 +11,9 @@ import numpy as np
 from cellapp.cell.run.file import RunFile
 from cellapp.commands.stages import CALIBRATION_FILE, Basis, RunStages, StoredStage, append_stage
 from cellapp.estimation.calibration.records import CalibrateResult, largest_correlations, tied_estimates
-from cellapp.estimation.calibration.station_location import factory_doubt
+from cellapp.estimation.calibration.station_location import wrong_factory
 from cellapp.estimation.discovery.records import DiscoverResult, with_effects
-from cellapp.estimation.monitoring.moved import CalibratedArm, combinations
+from cellapp.estimation.monitoring.parameter_changes import CalibratedArm, combinations
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import CALIBRATE, DISCOVER, LOCATE, StageName
 from cellapp.ground.shell import shell_word
@@ -90,9 +90,9 @@ def require_current_model(run: RunFile, stages: RunStages, verb: str) -> None:
 def require_own_factory(run: RunFile, verb: str) -> None:
     """Raise ``InputError`` if an arm's factory calibration explains the readings worse than the published table."""
     for name, arm in run.profile.arms.items():
-        if doubt := factory_doubt(arm, run.readings(name)):
+        if misfit := wrong_factory(arm, run.readings(name)):
             raise InputError(
-                f"{verb}: arm '{name}': {doubt}; nothing was written or moved. Give the calibration.conf of this arm's"
+                f"{verb}: arm '{name}': {misfit}; nothing was written or moved. Give the calibration.conf of this arm's"
                 f" controller as arms.{name}.factory, or none, then import and calibrate again"
             )
 

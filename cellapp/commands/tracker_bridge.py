@@ -13,7 +13,7 @@ from cellapp.cell.profile import load_profile
 from cellapp.commands.record import Asked, ProfilePath, Request, Verb, View, Work
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken
+from cellapp.ground.progress import JobToken
 from cellapp.ground.results import Result
 from drivers.settings import SettingError
 from drivers.trackers.bridge_server import TrackerService, is_loopback
@@ -72,10 +72,7 @@ def run(request: TrackerBridgeRequest, work: Work) -> TrackerBridgeResult:
 
 
 def serve_tracker(
-    profile: Profile,
-    request: TrackerBridgeRequest,
-    cancel: CancelToken,
-    announce: Callable[[TrackerBridgeResult], None],
+    profile: Profile, request: TrackerBridgeRequest, job: JobToken, announce: Callable[[TrackerBridgeResult], None]
 ) -> None:
     """Serve the profile's tracker until ``cancel``; all ports are free on return.
 
@@ -111,7 +108,7 @@ def serve_tracker(
                 guarded=token is not None,
             )
         )
-        while not cancel.cancelled:
+        while not job.cancelled:
             service.poll(_STEP_S)
     finally:
         service.close()

@@ -15,8 +15,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Literal
 
-from cellapp.ground.asking import Verb
-from cellapp.ground.progress import Cancelled, CancelToken, CellLive, Halt
+from cellapp.ground.job_client import Verb
+from cellapp.ground.progress import Cancelled, CellLive, Halt, JobToken, Listener, ignore
 
 Request = Literal["none", "pause", "stop", "abort"]
 
@@ -29,7 +29,7 @@ class Aborted(Cancelled):
     """A person ended the job; the arms were braked, and the run can be resumed later."""
 
 
-class JobControl(CancelToken):
+class JobControl(JobToken):
     """The request that stands, and the way to the brakes. All methods may be called from any thread.
 
     A signal handler must call ``stop`` in a thread of its own: a lock of this object may be held by the code it
@@ -37,6 +37,8 @@ class JobControl(CancelToken):
 
     Parameters
     ----------
+    listener : callable
+        As in ``JobToken``.
     holds : bool
         Whether a person attends the job and may resume it after ``stop``. Otherwise ``stop`` ends the job.
 
@@ -46,8 +48,8 @@ class JobControl(CancelToken):
         The run of the job, by which controllers name its programs; empty until it is known.
     """
 
-    def __init__(self, *, holds: bool = False) -> None:
-        super().__init__()
+    def __init__(self, listener: Listener = ignore, *, holds: bool = False) -> None:
+        super().__init__(listener)
         self.holds = holds
         self.run = ""
         self._request: Request = "none"
@@ -56,7 +58,7 @@ class JobControl(CancelToken):
         self._holding = 0  # brakes after which the job can hold
         self._looks: list[Callable[[], CellLive]] = []
         self._record: Callable[[str, Halt], None] = lambda arm, halt: None
-        self._left = ""
+        self._departure = ""
 
     @property
     def request(self) -> Request:
@@ -64,9 +66,9 @@ class JobControl(CancelToken):
         return self._request
 
     @property
-    def left(self) -> str:
+    def departure(self) -> str:
         """How the person who attended the job went away, in words; empty while nobody did."""
-        return self._left
+        return self._departure
 
     def ask(self, verb: Verb) -> None:
         """Do what a verb says."""
@@ -101,9 +103,9 @@ class JobControl(CancelToken):
         ``how`` is recorded as the cause, in place of a person's STOP: "the terminal was closed". The first one counts;
         nothing resumes after it.
         """
-        if self._left:
+        if self._departure:
             return
-        self._left = how  # before the brakes, which ask for it
+        self._departure = how  # before the brakes, which ask for it
         self.holds = False
         self.stop()
 
@@ -116,7 +118,7 @@ class JobControl(CancelToken):
         self._set_and_brake("abort", replaces=("none", "pause", "stop", "abort"), ends=True)
 
     def cancel(self) -> None:
-        """End the job: ``abort``, for callers that know only a cancel token."""
+        """End the job: ``abort``, for callers that know only a ``JobToken``."""
         self.abort()
 
     def check(self) -> None:
@@ -124,7 +126,7 @@ class JobControl(CancelToken):
         if self._request == "abort":
             raise Aborted("aborted on request")
         if self._request == "stop" and self.cancelled:
-            raise Stopped(self._left or "stopped on request")
+            raise Stopped(self._departure or "stopped on request")
 
     def wait_while(self, *requests: Request, timeout_s: float | None = None) -> Request:
         """Wait while one of ``requests`` stands; return the request that stands then.

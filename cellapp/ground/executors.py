@@ -34,7 +34,7 @@ from pydantic import TypeAdapter
 from pydantic_core import to_jsonable_python
 
 from cellapp.ground.errors import CellappError, CheckFailed, InputError
-from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
+from cellapp.ground.progress import JobToken
 from cellapp.ground.threads import one_blas_thread
 from cellapp.ground.version import __version__
 
@@ -58,7 +58,7 @@ _PREPARED: dict[str, Any] = {}
 
 @dataclass(frozen=True)
 class PoolWork:
-    """Where tasks are computed and kept, who listens, and who can cancel.
+    """Where tasks are computed and kept, and for which job.
 
     ``jobs``: processes, each of one thread; 1 computes in this process, None takes all cores. ``scheduler``: address of
     a Dask scheduler, whose workers compute instead. ``results``: file that keeps what was computed.
@@ -67,8 +67,7 @@ class PoolWork:
     jobs: int | None = 1
     scheduler: str | None = None
     results: Path | None = None
-    listener: Listener = ignore
-    cancel: CancelToken = field(default_factory=CancelToken)
+    job: JobToken = field(default_factory=JobToken)
 
 
 @dataclass(frozen=True)
@@ -130,7 +129,7 @@ def gather(
     kept = kept_results(work.results)
     results = {name: adapter.validate_python(kept[key]) for name, key in keys.items() if key in kept}
     failures: dict[str, _Answer] = {}
-    work.listener(Progress(job, len(results), len(given), f"{len(results)} computed before" if results else ""))
+    work.job.tell(job, len(results), len(given), f"{len(results)} computed before" if results else "")
     missing = {name: one for name, one in given.items() if name not in results}
     for name, answer in _answers(_Shared(program, about, function, prepare), missing, work):
         if answer.failure:
@@ -138,7 +137,7 @@ def gather(
         else:
             results[name] = answer.found
             _keep(work.results, keys[name], adapter.dump_python(answer.found, by_alias=True))
-        work.listener(Progress(job, len(results) + len(failures), len(given), name))
+        work.job.tell(job, len(results) + len(failures), len(given), name)
     if failures and not results and not all_may_fail:
         first = next(failures[name] for name in given)
         others = f" (and so on: all {len(failures)} failed)" if len(failures) > 1 else ""
@@ -180,7 +179,7 @@ def _answers(shared: _Shared, given: Mapping[str, Any], work: PoolWork) -> Itera
     jobs = min(work.jobs or local_cores(), len(given))
     if jobs <= 1 and work.scheduler is None:
         for name, one in given.items():
-            work.cancel.check()
+            work.job.check()
             yield name, _perform(shared, one)
         return
     waiting, attempts = dict(given), 1 if work.scheduler else _ATTEMPTS
@@ -189,11 +188,11 @@ def _answers(shared: _Shared, given: Mapping[str, Any], work: PoolWork) -> Itera
             with _cluster(work.scheduler) if work.scheduler else _processes(jobs) as executor:
                 with _ctrl_c_blocked():  # processes start as the first tasks are submitted
                     begun = {executor.submit(_perform, shared, one): name for name, one in waiting.items()}
-                for future in _ended(begun, work.cancel):
+                for future in _ended(begun, work.job):
                     if not future.cancelled() and not isinstance(future.exception(), BrokenProcessPool):
                         del waiting[begun[future]]
                         yield begun[future], _answer_of(future)
-            work.cancel.check()
+            work.job.check()
     if waiting:
         who = f"--scheduler {work.scheduler}: the scheduler is gone" if work.scheduler else "processes were ended"
         raise ComputingLost(
@@ -202,13 +201,13 @@ def _answers(shared: _Shared, given: Mapping[str, Any], work: PoolWork) -> Itera
         )
 
 
-def _ended(begun: Mapping[Future[_Answer], str], cancel: CancelToken) -> Iterator[Future[_Answer]]:
+def _ended(begun: Mapping[Future[_Answer], str], job: JobToken) -> Iterator[Future[_Answer]]:
     """Every future as it ends; those not begun are given up on a cancel request."""
     under_way = set(begun)
     while under_way:
         ended, under_way = wait(under_way, timeout=_POLL_S, return_when=FIRST_COMPLETED)
         yield from ended
-        if cancel.cancelled:
+        if job.cancelled:
             under_way -= {future for future in under_way if future.cancel()}
 
 
@@ -372,13 +371,13 @@ class TimeLimit:
         return cls(minutes, time.monotonic())
 
     @property
-    def left_s(self) -> float:
+    def remaining_s(self) -> float:
         """Time that is left [s]; infinite without a limit, negative beyond it."""
         return math.inf if self.minutes is None else 60.0 * self.minutes - (self.now() - self.began_s)
 
     def allowed(self, each_s: float, most: int) -> int:
         """How many further trials of a duration [s] fit, at most ``most``."""
-        return int(max(min(self.left_s / max(each_s, 1e-6), most), 0.0))
+        return int(max(min(self.remaining_s / max(each_s, 1e-6), most), 0.0))
 
     def words(self) -> str:
         """How long it takes, before it begins."""

@@ -1,11 +1,12 @@
-"""The one event type that every long job emits, and the token that cancels it. CLI, TUI and logs only listen."""
+"""A long job: the events that it tells, and the token by which it is followed and cancelled."""
 
 from __future__ import annotations
 
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -346,9 +347,9 @@ def ignore_words(words: str) -> None:
 class SharedProgress:
     """Progress of one job whose parts run at the same time: the steps of all parts are added."""
 
-    def __init__(self, listener: Listener, job: str, done: int, total: int, cancel: CancelToken) -> None:
+    def __init__(self, job: JobToken, name: str, done: int, total: int) -> None:
         """``done`` of ``total`` steps are done before the parts begin."""
-        self._listener, self._job, self._begun, self._total, self._cancel = listener, job, done, total, cancel
+        self._job, self._name, self._begun, self._total = job, name, done, total
         self._done: dict[str, int] = {}
         self._lock = threading.Lock()
 
@@ -358,21 +359,41 @@ class SharedProgress:
         def report(done: int, words: str) -> None:
             with self._lock:
                 self._done[name] = done
-                steps = self._begun + sum(self._done.values())
-                self._listener(Progress(self._job, steps, self._total, f"{name}: {words}"))
+                self._job.tell(self._name, self._begun + sum(self._done.values()), self._total, f"{name}: {words}")
 
-        return JobSteps(report, self._cancel)
+        return JobSteps(report, self._job)
 
 
 class Cancelled(Exception):
     """The job was cancelled by a person; what it had committed stays."""
 
 
-class CancelToken:
-    """Set from any thread; jobs ask it between steps."""
+class JobToken:
+    """Who follows a long job, and whether somebody asked to end it. All methods may be called from any thread.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    listener : callable
+        Takes the events, one at a time.
+    """
+
+    def __init__(self, listener: Listener = ignore) -> None:
         self._event = threading.Event()
+        self._listener = listener
+        self._timed = with_eta(lambda event: self._listener(event))
+
+    def tell(self, job: str, done: int, total: int, note: str = "", detail: Detail | None = None) -> None:
+        """Tell those who follow an event of the job, as in ``Progress``."""
+        self._timed(Progress(job, done, total, note, detail=detail))
+
+    @contextmanager
+    def heard_by(self, hear: Callable[[Progress, Listener], None]) -> Iterator[None]:
+        """Let ``hear`` take the events in this context, with the listener that took them before."""
+        before, self._listener = self._listener, lambda event: hear(event, before)
+        try:
+            yield
+        finally:
+            self._listener = before
 
     def cancel(self) -> None:
         """Ask the job to stop at its next step."""
@@ -398,7 +419,7 @@ class JobSteps:
     """The steps of a part of a job: told as they are done, each with a few words, and ended by a request to cancel."""
 
     report: Callable[[int, str], object] = lambda done, words: None
-    cancel: CancelToken = field(default_factory=CancelToken)
+    job: JobToken = field(default_factory=JobToken)
 
     def __call__(self, done: int, words: str) -> None:
         """Tell how many steps are done, and what is under way."""
@@ -406,15 +427,11 @@ class JobSteps:
 
     def check(self) -> None:
         """Raise ``Cancelled`` if somebody asked to stop."""
-        self.cancel.check()
+        self.job.check()
 
     def after(self, first: int, what: str) -> JobSteps:
         """Return the steps of ``what``, which begin when ``first`` steps are done."""
-        return JobSteps(lambda done, words: self(first + done, f"{what}: {words}"), self.cancel)
-
-
-UNTOLD = JobSteps()
-"""Steps that nobody follows or cancels."""
+        return JobSteps(lambda done, words: self(first + done, f"{what}: {words}"), self.job)
 
 
 # -- How fast a job goes on: the estimated time to its end, and lines that tell it where there is no terminal ---------
@@ -429,7 +446,7 @@ def with_eta(listener: Listener, clock: Callable[[], float] = time.monotonic) ->
     The estimate is the rate of the job's own recent steps; steps that were done before the first event do not count.
     """
     paces: dict[str, _Pace] = {}
-    lock = threading.Lock()
+    lock = threading.RLock()
 
     def listen(event: Progress) -> None:
         with lock:
@@ -438,6 +455,11 @@ def with_eta(listener: Listener, clock: Callable[[], float] = time.monotonic) ->
 
     return listen
 
+
+UNTOLD = JobSteps()
+"""Steps that nobody follows or cancels."""
+UNATTENDED = JobToken()
+"""A job that nobody follows or ends."""
 
 _SILENCE_S = 60.0
 """How long a job without a terminal is silent at most, while it has something to tell."""

@@ -174,8 +174,8 @@ class HostStalled(ArmError):
     """The controller stopped its program because this computer was silent for too long; nothing is wrong at the arm."""
 
 
-DoubtListener = Callable[[ArmError], None]
-"""Callback for the first doubt about an arm. It is called from any thread and must return at once."""
+FaultListener = Callable[[ArmError], None]
+"""callback for the first fault of an arm. It is called from any thread and must return at once."""
 
 
 class Arm(Protocol):
@@ -207,8 +207,8 @@ class Arm(Protocol):
     def warnings(self) -> tuple[str, ...]:
         """Return findings that a person should know and that do not prevent motion; one sentence each."""
 
-    def watch(self, listener: DoubtListener) -> None:
-        """Report the first doubt after each ``connect`` to ``listener``: a fault, a lost link, no state for 0.3 s.
+    def watch(self, listener: FaultListener) -> None:
+        """Report to ``listener`` the first fault after each ``connect``: its own, a lost link, no state for 0.3 s.
 
         The report comes before any diagnosis, so that the other arms of the cell can brake at once.
         """

@@ -14,8 +14,8 @@ from drivers.arms.protocol import (
     ArmIdentity,
     ArmState,
     ArmTimeout,
-    DoubtListener,
     EmergencyStop,
+    FaultListener,
     JointLimits,
     LinkLost,
     LiveArm,
@@ -54,7 +54,7 @@ class SimulatedArm:
         self._released = 0
         self._cut_short = False
         """Whether the last motion was stopped before its goal."""
-        self._listener: DoubtListener = lambda error: None
+        self._listener: FaultListener = lambda error: None
         self._stream: NDArray[np.float64] | None = None
         """The positions that are being streamed. ``_send`` stops when this is another array or None."""
         self._sent = 0
@@ -76,7 +76,7 @@ class SimulatedArm:
         self._released = refusals
         self._may_move()
 
-    def watch(self, listener: DoubtListener) -> None:
+    def watch(self, listener: FaultListener) -> None:
         """Report faults and lost links to ``listener`` when they occur."""
         self._listener = listener
 
@@ -257,17 +257,17 @@ class SimulatedArm:
         Raises ``ArmTimeout``, or what stopped it: a fault, or ``MotionStopped``.
         """
         self._link()
-        left = max(timeout_s, 0.0)
+        remaining = max(timeout_s, 0.0)
         while (needed := self._rest_due_s() + SETTLE_S - self._plant.clock_s) > 0.0:
-            step = min(needed, left, self._plant.undisturbed_s)
+            step = min(needed, remaining, self._plant.undisturbed_s)
             self._plant.advance(step)
             self._link()
             self._no_fault()
             if self._cut_short or step == needed:
                 break
-            if step == left:
+            if step == remaining:
                 raise ArmTimeout(f"arm {self._name} needs {needed:.2f} s to come to rest, {timeout_s:g} s were allowed")
-            left -= step
+            remaining -= step
         self._no_fault()
         if self._cut_short:
             raise MotionStopped(f"arm {self._name}: its motion was stopped before the goal")

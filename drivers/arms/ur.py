@@ -1,7 +1,7 @@
 """A Universal Robots arm, moved through ur_rtde in a separate process that can be killed at any moment.
 
 Three properties hold even if that client hangs, crashes with the link or reports old states. First, every call returns
-in bounded time. Second, any doubt triggers at once all that ``drivers.arms.ur_supervised_link`` describes. Third, if
+in bounded time. Second, any fault triggers at once all that ``drivers.arms.ur_supervised_link`` describes. Third, if
 even that fails, the controller's watchdog expires and stops the program.
 
 ``brake`` stops the arm in three ways. The worker decelerates the motion through the control program. At most 20 ms
@@ -78,7 +78,7 @@ class UrArm(SupervisedLink):
         rest_s: float = LONGEST_BRAKING_S,
         user: str = "",
     ) -> None:
-        """Open nothing yet. An arm in doubt is monitored for at most ``rest_s`` [s] until it rests.
+        """Open nothing yet. An arm with a fault is monitored for at most ``rest_s`` [s] until it rests.
 
         ``user``, a job's run, becomes a part of the name of the control program.
         """
@@ -118,7 +118,7 @@ class UrArm(SupervisedLink):
             raise
         finally:
             self._connecting = None
-        self._doubt.report()
+        self._first_fault.report()
 
     def _give_up(self) -> None:
         """Kill the client and end the program that it may have started; ``disconnect`` waits for one that starts late.
@@ -134,7 +134,7 @@ class UrArm(SupervisedLink):
 
     def _connect_anew(self, going_on: GoingOn) -> None:
         self._drop_worker()
-        self._doubt.clear()
+        self._first_fault.clear()
         probe = self._probe(going_on)
         self._raise_failed(
             [check for check in checks(self._expected, probe) if check.subject not in ("program", "state")]
@@ -250,7 +250,7 @@ class UrArm(SupervisedLink):
         ``LinkLost`` if the arm was not seen at rest, or that program was not seen.
         """
         worker, self._worker = self._worker, None
-        self._doubt.mute()
+        self._first_fault.mute()
         if worker is not None:
             worker.end(_ENDS_WITHIN_S)
             self._gaps = self._gaps.joined(worker.gaps)
@@ -271,7 +271,7 @@ class UrArm(SupervisedLink):
         Raises the reason why a braked arm cannot move again.
         """
         worker, probe = self._worker, self._probed
-        if worker is None or probe is None or self._doubt.error is not None:
+        if worker is None or probe is None or self._first_fault.error is not None:
             return False
         try:
             if not self._latch.in_force:
@@ -309,7 +309,7 @@ class UrArm(SupervisedLink):
 
     def _start_client(self, probe: UrProbe, going_on: GoingOn) -> None:
         going_on()
-        worker = WorkerProcess(self._name, self._doubted, self._program.uploaded)
+        worker = WorkerProcess(self._name, self._report_fault, self._program.uploaded)
         self._worker = self._connecting = worker
         self._fault = None
         timeout = self._settings.startup_timeout
@@ -344,7 +344,7 @@ class UrArm(SupervisedLink):
             raise arm_error(self._name, error.kind, text or error.text) from error
         except WorkerGone as error:
             going_on()
-            raise self._link_in_doubt(f"the client did not start: {error}", error.kind) from error
+            raise self._link_fault(f"the client did not start: {error}", error.kind) from error
         except BaseException:
             self._give_up()
             raise
@@ -353,7 +353,7 @@ class UrArm(SupervisedLink):
         """Return who holds the controller, by the name of the program; it may be about to start."""
         patience = Patience(_KNOWN_WITHIN_S)
         while not patience.over:
-            if running := running_program(self._host, patience.left_s):
+            if running := running_program(self._host, patience.remaining_s):
                 return held_by(running)
             time.sleep(_ASK_AGAIN_S)
         return ""

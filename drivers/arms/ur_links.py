@@ -160,7 +160,7 @@ class Connection:
 
     def send(self, data: bytes, patience: Patience) -> None:
         """Send a short text. Raises ``OSError``."""
-        self._socket.settimeout(max(patience.left_s, 1e-3))
+        self._socket.settimeout(max(patience.remaining_s, 1e-3))
         try:
             self._socket.sendall(data)
         finally:

@@ -177,7 +177,7 @@ def wait_at_rest(
         try:
             return _watch_until_rest(host, patience, port, dwell_s)
         except LinkLost:
-            if patience.left_s < 2.0 * _RETRY_S:
+            if patience.remaining_s < 2.0 * _RETRY_S:
                 raise
             time.sleep(_RETRY_S)
 

@@ -1,6 +1,6 @@
 """The links of one UR arm, its worker process and its dashboard connection, for queries, motions and stops.
 
-On any doubt, in this order: the listener is called, the worker process is killed, a stop is requested over a separate
+On any fault, in this order: the listener is called, the worker process is killed, a stop is requested over a separate
 dashboard connection, and the arm is monitored over a separate RTDE connection until it rests.
 """
 
@@ -21,8 +21,8 @@ from drivers.arms.protocol import (
     ArmError,
     ArmState,
     ArmTimeout,
-    DoubtListener,
     EmergencyStop,
+    FaultListener,
     HostStalled,
     LinkLost,
     LiveArm,
@@ -45,7 +45,7 @@ _MESSAGE_WITHIN_S = 0.3
 
 
 class SupervisedLink:
-    """Base of one UR arm's driver: stops, doubts, and calls to the worker."""
+    """Base of one UR arm's driver: stops, faults, and calls to the worker."""
 
     def __init__(self, name: str, settings: UrOptions, rest_s: float) -> None:
         self._name = name
@@ -59,16 +59,16 @@ class SupervisedLink:
         self._fault: ArmError | None = None
         self._gaps = HeartbeatGaps()
         self._latch = StopLatch()
-        self._doubt = FirstDoubt()
+        self._first_fault = FirstFault()
 
     @property
     def name(self) -> str:
         """The arm's name in the profile."""
         return self._name
 
-    def watch(self, listener: DoubtListener) -> None:
-        """Report the first doubt after each ``connect`` to ``listener``, from a thread of this driver."""
-        self._doubt.watch(listener)
+    def watch(self, listener: FaultListener) -> None:
+        """Report the first fault after each ``connect`` to ``listener``, from a thread of this driver."""
+        self._first_fault.watch(listener)
 
     def live(self) -> LiveArm:
         """Return the worker's last report, at most 0.05 s old in normal operation."""
@@ -86,20 +86,20 @@ class SupervisedLink:
 
         Raises ``LinkLost``, or the arm's fault; the listener has been told.
         """
-        doubt, worker = self._doubt.error, self._worker
+        noted, worker = self._first_fault.error, self._worker
         if worker is None:
             raise self._without_worker()
-        if doubt is not None:
-            raise type(doubt)(*doubt.args)
+        if noted is not None:
+            raise type(noted)(*noted.args)
         patience = Patience(CONFIRM_WITHIN_S)
         try:
             self._stop_line.confirm(patience)
         except LinkLost as error:
             raise self._dashboard_lost(cause(error)) from error
         try:
-            fault = worker.call("confirm", patience.left_s)["fault"]
+            fault = worker.call("confirm", patience.remaining_s)["fault"]
         except WorkerGone as error:
-            raise self._doubted(error.kind, str(error)) from error
+            raise self._report_fault(error.kind, str(error)) from error
         except Refusal as error:
             raise arm_error(self._name, error.kind, error.text) from error
         if fault is not None:
@@ -159,9 +159,9 @@ class SupervisedLink:
             except (LinkLost, WorkerGone, Refusal) as error:
                 kind = error.kind if isinstance(error, WorkerGone) else "link"
                 why = cause(error) if isinstance(error, LinkLost) else str(error)
-                doubt = self._link_in_doubt(f"the stop failed: {why}", kind)
+                noted = self._link_fault(f"the stop failed: {why}", kind)
                 if self._program.may_run:  # otherwise it was seen at rest, and the next call reports the lost link
-                    raise doubt from error
+                    raise noted from error
 
     def _command_stop(self) -> None:
         """Stop the arm by all means; wait until the dashboard confirms. Raises ``LinkLost`` without the arm's name."""
@@ -194,33 +194,33 @@ class SupervisedLink:
             text = f"its stop was not confirmed: {cause(error)}; treat it as moving until you see it at rest"
             raise LinkLost(f"arm {self._name}: {text}") from error
 
-    # -- doubts --------------------------------------------------------------------------------------------------------
+    # -- faults --------------------------------------------------------------------------------------------------------
 
-    def _doubted(self, kind: str, text: str) -> ArmError:
-        """Report the first doubt since ``connect``, and return it; called from the worker's threads, too."""
+    def _report_fault(self, kind: str, text: str) -> ArmError:
+        """Report the first fault since ``connect``, and return it; called from the worker's threads, too."""
         error = arm_error(self._name, kind, text)
-        self._doubt.note(error, text, kind)
+        self._first_fault.note(error, text, kind)
         return error
 
     def _dashboard_lost(self, why: str) -> ArmError:
-        return self._doubted("link", f"the dashboard, over which it is stopped, does not answer: {why}")
+        return self._report_fault("link", f"the dashboard, over which it is stopped, does not answer: {why}")
 
     def _fault_or(self, stopped: ArmError) -> ArmError:
         """Return the fault that preceded a stop, if any: a person must know the fault."""
-        doubt, worker = self._doubt.error, self._worker
-        if doubt is None or worker is None:
-            return doubt or stopped
-        if isinstance(doubt, LinkLost):
-            return self._link_in_doubt(self._doubt.text, self._doubt.kind)
+        noted, worker = self._first_fault.error, self._worker
+        if noted is None or worker is None:
+            return noted or stopped
+        if isinstance(noted, LinkLost):
+            return self._link_fault(self._first_fault.text, self._first_fault.kind)
         with suppress(WorkerGone, Refusal):
             fault = worker.call("state", ANSWER_WITHIN_S)["fault"]  # the worker may know the cause better by now
             if fault is not None:
                 return arm_error(self._name, fault["kind"], fault["text"])
-        return type(doubt)(*doubt.args)
+        return type(noted)(*noted.args)
 
-    def _link_in_doubt(self, why: str, kind: str) -> ArmError:
-        """Report the doubt, kill the client, stop the arm, monitor it until it rests if possible; return the error."""
-        self._doubted(kind, why)
+    def _link_fault(self, why: str, kind: str) -> ArmError:
+        """Report the fault, kill the client, stop the arm, monitor it until it rests if possible; return the error."""
+        self._report_fault(kind, why)
         self._drop_worker()
         try:
             self._program.bring_to_rest()
@@ -238,7 +238,7 @@ class SupervisedLink:
 
     def _drop_worker(self) -> None:
         worker, self._worker = self._worker, None
-        self._doubt.mute()
+        self._first_fault.mute()
         if worker is not None:
             worker.kill()
             self._gaps = self._gaps.joined(worker.gaps)
@@ -266,36 +266,36 @@ class SupervisedLink:
             refused = arm_error(self._name, error.kind, error.text)
             raise (self._fault_or(refused) if isinstance(refused, MotionStopped) else refused) from error
         except WorkerGone as error:
-            raise self._link_in_doubt(str(error), error.kind) from error
+            raise self._link_fault(str(error), error.kind) from error
 
 
 # ---------------------------------------------------------------------------------------------------------------------
-# Doubts about an arm since ``connect``: the first is stored, and the first of each kind is reported to a listener.
+# Faults of an arm since ``connect``: the first is stored, and the first of each kind is reported to a listener.
 
 
-class FirstDoubt:
-    """Store of the first doubt; reports the first of each kind. Any thread may call any method.
+class FirstFault:
+    """Store of the first fault; reports the first of each kind. Any thread may call any method.
 
-    A later doubt of another kind matters: the first may be harmless, but a safety stop is not.
+    A later fault of another kind matters: the first may be harmless, but a safety stop is not.
 
     Attributes
     ----------
     error : ArmError or None
-        The first doubt since ``clear``; None if there is none.
+        The first fault since ``clear``; None if there is none.
     text, kind : str
         What was found, without the arm's name and the remedy; a key of ``REFUSALS``.
     """
 
     def __init__(self) -> None:
-        self._listener: DoubtListener = lambda error: None
+        self._listener: FaultListener = lambda error: None
         self.error: ArmError | None = None
         self.text, self.kind = "", ""
         self._noted: dict[type[ArmError], ArmError] = {}
         self._reporting = False
         self._lock = threading.Lock()
 
-    def watch(self, listener: DoubtListener) -> None:
-        """Report to ``listener`` from now on; report doubts that are already noted at once."""
+    def watch(self, listener: FaultListener) -> None:
+        """Report to ``listener`` from now on; report faults that are already noted at once."""
         with self._lock:
             self._listener = listener
             noted = [*self._noted.values()] if self._reporting else []
@@ -303,7 +303,7 @@ class FirstDoubt:
             listener(error)
 
     def note(self, error: ArmError, text: str, kind: str = "link") -> None:
-        """Store a doubt if it is the first; report it if it is the first of its kind and the arm is connected."""
+        """Store a fault if it is the first; report it if it is the first of its kind and the arm is connected."""
         with self._lock:
             if type(error) in self._noted:
                 return
@@ -315,7 +315,7 @@ class FirstDoubt:
             self._listener(error)
 
     def report(self) -> None:
-        """Report doubts from now on, and also those noted during ``connect``."""
+        """Report faults from now on, and also those noted during ``connect``."""
         with self._lock:
             noted = [] if self._reporting else [*self._noted.values()]
             self._reporting = True
@@ -323,12 +323,12 @@ class FirstDoubt:
             self._listener(error)
 
     def mute(self) -> None:
-        """Report no more doubts: the link is being closed."""
+        """Report no more faults: the link is being closed."""
         with self._lock:
             self._reporting = False
 
     def clear(self) -> None:
-        """Forget all doubts."""
+        """Forget all faults."""
         with self._lock:
             self.error, self.text, self.kind = None, "", ""
             self._noted.clear()
@@ -436,7 +436,7 @@ class OwnProgram:
                         self.bring_to_rest()
                         self.awaited = False
             except LinkLost as error:
-                if patience.left_s < 2.0 * _LOOK_AGAIN_S:
+                if patience.remaining_s < 2.0 * _LOOK_AGAIN_S:
                     raise LinkLost(
                         f"the program that was uploaded to it was not seen to start and end within {within_s:g} s"
                         f" ({cause(error)}); look at the pendant: end it if it runs"
@@ -679,7 +679,7 @@ class StopLine:
             line.pump(Patience(SLICE_S))
             if question is not None and not question.empty():
                 question, until_next, answers = None, Patience(_ASK_EVERY_S), answers + (not line.ended)
-            elif question is None and until_next.left_s < SLICE_S:
+            elif question is None and until_next.remaining_s < SLICE_S:
                 question, silence = line.send(_QUESTION), Patience(_SILENT_S)
             elif question is not None and silence.over:
                 line.end()

@@ -203,7 +203,7 @@ class Supervisor:
         self._settle_requests: list[SettleRequest] = []
         self._resting_since: UrSample | None = None
         self._rests_at: UrSample | None = None  # where it settled; None while a motion or a stop may change that
-        self._left_rest_s: float | None = None  # controller time since when it has been away from there
+        self._departed_s: float | None = None  # controller time since when it has been away from there
         self._fault: Refusal | None = None
         self._halted = False
         self._program_stopped_s: float | None = None  # since when the program has been stopped without a brake
@@ -444,7 +444,7 @@ class Supervisor:
         """
         if self._fault is None or (self._fault.kind == _HARMLESS and refusal.kind != _HARMLESS):
             self._fault = refusal
-            self._application.answer({"doubt": refusal.kind, "text": refusal.text})
+            self._application.answer({"fault": refusal.kind, "text": refusal.text})
             self._stop_program()
         if self._motion is not None:
             self._motion = None
@@ -580,15 +580,15 @@ class Supervisor:
         first, at = self._resting_since, self._rests_at
         meant = self._motion is not None or self.may_move or self._halted or self._application.braked
         if meant or self._fault is not None or sample.program != "PLAYING":
-            self._rests_at = self._left_rest_s = None
+            self._rests_at = self._departed_s = None
         elif at is None:
             if first is not None and sample.time_s - first.time_s >= self._rest.dwell_s:
                 self._rests_at = first
         elif sample.speed <= self._rest.speed and sample.distance(at.q) <= self._rest.position:
-            self._left_rest_s = None
-        elif self._left_rest_s is None:
-            self._left_rest_s = sample.time_s
-        elif sample.time_s - self._left_rest_s >= REST_DWELL_S:
+            self._departed_s = None
+        elif self._departed_s is None:
+            self._departed_s = sample.time_s
+        elif sample.time_s - self._departed_s >= REST_DWELL_S:
             off, speed = math.degrees(sample.distance(at.q)), math.degrees(sample.speed)
             text = f"it left its rest without being asked: now {off:.3f} deg from there, at {speed:.2f} deg/s"
             self._record_fault(failed(text))

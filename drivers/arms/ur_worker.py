@@ -11,7 +11,7 @@ to the worker
 from the worker
 ``{"id": n, "ok": ...}``            an answer
 ``{"id": n, "error": kind, ...}``   a refusal: a key of ``drivers.arms.ur_supervised_link.REFUSALS``, and its ``text``
-``{"doubt": kind, "text": ...}``    a fault, sent before anything else is done about it
+``{"fault": kind, "text": ...}``    a fault, sent before anything else is done about it
 ``{"decelerating": true}``          the control program decelerates the motion, or there was none
 ``{"lost": text, "kind": kind}``    the last line of a worker that ends itself
 ``{"waits": ...}``                  how long it has asked the controller for something without an answer [s]
@@ -154,7 +154,7 @@ class Worker:
 
     def exit_link_lost(self, kind: str, text: str) -> NoReturn:
         """Report, stop the arm over the dashboard, and end the process before the client can do harm."""
-        self.answer({"doubt": kind, "text": text})
+        self.answer({"fault": kind, "text": text})
         with suppress(LinkLost):
             stop_program(self._host, _STOP_WITHIN_S)
         self.answer({"lost": text, "kind": kind})

@@ -1,4 +1,4 @@
-"""The worker process of a UR arm as seen by the application: requests, answers, heartbeats, doubts, and its end."""
+"""The worker process of a UR arm as seen by the application: requests, answers, heartbeats, faults, and its end."""
 
 from __future__ import annotations
 
@@ -46,8 +46,8 @@ _ENDING_WITHIN_S = 0.1
 _LAST_WORDS_WITHIN_S = 0.02
 """Time limit for exit code and last words of a process that ended: the other arms wait for it."""
 
-Doubted = Callable[[str, str], object]
-"""Callback for a doubt, with the kind of a refusal and a sentence; called from any thread, returns at once."""
+FaultReport = Callable[[str, str], object]
+"""Callback for a fault, with the kind of a refusal and a sentence; called from any thread, returns at once."""
 
 
 def last_words(lines: Iterable[bytes]) -> str:
@@ -132,11 +132,11 @@ class _Pending:
 class WorkerProcess:
     """A worker process. Several threads may call its methods.
 
-    ``doubted`` is called when the worker reports a fault, falls silent or ends, unless it was asked to end. ``opens``
+    ``report`` is called when the worker reports a fault, falls silent or ends, unless it was asked to end. ``opens``
     is called with True when it may start a program on the controller, with False when that was seen to run.
     """
 
-    def __init__(self, name: str, doubted: Doubted, opens: Callable[[bool], None]) -> None:
+    def __init__(self, name: str, report: FaultReport, opens: Callable[[bool], None]) -> None:
         root = str(Path(drivers.__file__).parents[1])
         paths = [root, *filter(None, [os.environ.get("PYTHONPATH")])]
         self._process = subprocess.Popen(
@@ -148,7 +148,7 @@ class WorkerProcess:
             start_new_session=True,  # a Ctrl-C in the terminal must not reach the worker
             creationflags=getattr(subprocess, "HIGH_PRIORITY_CLASS", 0),  # Windows; elsewhere it raises its own
         )
-        self._doubted, self._opens = doubted, opens
+        self._report_fault, self._opens = report, opens
         self._lock = threading.Lock()
         self._number = 0
         self._pending: dict[int, _Pending] = {}
@@ -291,11 +291,11 @@ class WorkerProcess:
         return True
 
     def kill_at_once(self) -> None:
-        """Kill the process without waiting for its end, which is reported as a doubt."""
+        """Kill the process without waiting for its end, which is reported as a fault."""
         self._process.kill()
 
     def abandon(self) -> None:
-        """Kill the process without waiting for its end, which is not a doubt; pending requests get no answer."""
+        """Kill the process without waiting for its end, which is not a fault; pending requests get no answer."""
         self._ending.set()
         self._process.kill()
 
@@ -356,11 +356,11 @@ class WorkerProcess:
             self._looks += 1
             if not silent and time.monotonic() - self._beat_s > _SILENT_S and self._looks > _SILENT_LOOKS:
                 silent = True
-                doubt = self._silent(f"was silent for {_SILENT_S:g} s")
-                self._doubted(doubt.kind, str(doubt))
+                fault = self._silent(f"was silent for {_SILENT_S:g} s")
+                self._report_fault(fault.kind, str(fault))
 
     def _silent(self, how: str) -> WorkerGone:
-        """Return the doubt about a worker that is silent; it may have told that it waits for its controller."""
+        """Return the fault about a worker that is silent; it may have told that it waits for its controller."""
         if time.monotonic() < self._waits_until_s:
             return WorkerGone(
                 f"its controller has not answered a command for {_SILENT_S:g} s: it hangs, or the network is late",
@@ -389,8 +389,8 @@ class WorkerProcess:
                 longest_s, late, age_s, moving, served = message["beat"]
                 self._gaps, self._live = HeartbeatGaps(longest_s, late), (age_s, moving, time.monotonic())
                 self._served = served
-            elif "doubt" in message:
-                self._report(str(message["doubt"]), str(message["text"]))
+            elif "fault" in message:
+                self._report(str(message["fault"]), str(message["text"]))
             elif "decelerating" in message:
                 self._decelerating.set()
             elif "lost" in message:
@@ -419,4 +419,4 @@ class WorkerProcess:
 
     def _report(self, kind: str, text: str) -> None:
         if not self._ending.is_set():
-            self._doubted(kind, text)
+            self._report_fault(kind, text)

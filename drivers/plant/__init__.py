@@ -8,7 +8,7 @@ from drivers.plant.clearance import Clearance
 from drivers.plant.config import ArmConfig, CapsuleConfig, PlantConfig, TrackerConfig, TrueErrors
 from drivers.plant.mechanism import gravity_torques
 from drivers.plant.plant import Plant
-from drivers.plant.suggest import ONLY_MOVING, OUTSIDE, REALISTIC, suggest, suggest_other_law
+from drivers.plant.random_effects import ONLY_MOVING, OUTSIDE, REALISTIC, suggest, suggest_other_law
 from drivers.plant.true_arm import TrueTarget
 
 __all__ = [

@@ -341,4 +341,4 @@ def lagging(q: Array, keep: Array) -> Array:
     from scipy.signal import lfilter  # it loads scipy.stats: only for cells that record motion
 
     lags = zip(q.T, keep.tolist(), strict=True)
-    return np.column_stack([lfilter([1.0 - left], [1.0, -left], own, zi=left * own[:1])[0] for own, left in lags])
+    return np.column_stack([lfilter([1.0 - share], [1.0, -share], own, zi=share * own[:1])[0] for own, share in lags])

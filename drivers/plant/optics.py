@@ -33,9 +33,9 @@ def noise(tracker: TrackerConfig, p_M: Array, averaging_s: float, rng: np.random
     distance = np.linalg.norm(p_M, axis=1)
     across, along = deviations(tracker, distance, averaging_s)
     beam = p_M / distance[:, None]
-    draw = rng.standard_normal(p_M.shape)
-    share = (draw * beam).sum(axis=1)
-    errors: Array = across[:, None] * draw + ((along - across) * share)[:, None] * beam
+    sample = rng.standard_normal(p_M.shape)
+    share = (sample * beam).sum(axis=1)
+    errors: Array = across[:, None] * sample + ((along - across) * share)[:, None] * beam
     return errors
 
 

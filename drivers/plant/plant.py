@@ -19,7 +19,7 @@ from drivers.plant.motion import Phase, braked, note_phase, phase_of, travel
 from drivers.plant.optics import covariances, noise, why_hidden
 from drivers.plant.servo import follow
 from drivers.plant.transforms import inverse, transform_points
-from drivers.plant.true_arm import Seen, TrueArm, TrueTarget, draw_true_arm, largest_change, watch
+from drivers.plant.true_arm import Seen, TrueArm, TrueTarget, largest_change, sample_true_arm, watch
 
 _EQUILIBRIUM_RAD = 1e-12
 _MAX_ITERATIONS = 200
@@ -48,7 +48,7 @@ class Plant:
         self._noise = config.random(1)
         # one random stream per arm and purpose: draws from one do not change another
         self._arms = {
-            arm.name: draw_true_arm(arm, config, self._T_M_C, np.random.SeedSequence([config.seed, 2, number]))
+            arm.name: sample_true_arm(arm, config, self._T_M_C, np.random.SeedSequence([config.seed, 2, number]))
             for number, arm in enumerate(config.arms)
         }
         self._watch(np.zeros(1))

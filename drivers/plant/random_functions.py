@@ -28,7 +28,7 @@ class RandomPaths:
     phases: Array  # (waves, k) [rad]
 
     @classmethod
-    def drawn(cls, seed: int, count: int, period: float) -> RandomPaths:
+    def sampled(cls, seed: int, count: int, period: float) -> RandomPaths:
         """Draw ``count`` paths."""
         amplitudes = _PERIODS * np.sqrt(2.0 / (_PERIODS**2).sum())
         phases = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, (len(_PERIODS), count))
@@ -51,7 +51,7 @@ class RandomWaves:
     phases: Array  # (h, k) [rad]
 
     @classmethod
-    def drawn(cls, rng: np.random.Generator, count: int, harmonics: Array, shares: Array) -> RandomWaves:
+    def sampled(cls, rng: np.random.Generator, count: int, harmonics: Array, shares: Array) -> RandomWaves:
         """Draw the phases."""
         return cls(harmonics, shares, rng.uniform(0.0, 2.0 * np.pi, (len(harmonics), count)))
 
@@ -75,7 +75,7 @@ class RandomField:
     directions: Array  # (waves, 3)
 
     @classmethod
-    def drawn(cls, seed: int, length: float) -> RandomField:
+    def sampled(cls, seed: int, length: float) -> RandomField:
         """Draw a field of correlation length ``length`` [m]."""
         rng = np.random.default_rng(seed)
         vectors = rng.standard_normal((_FIELD_WAVES, 3)) / length

@@ -128,7 +128,7 @@ def watch(clearance: Clearance, arms: Sequence[TrueArm], times_s: Array, floor: 
             clearance.update_arms(gaps, times_s)
 
 
-def draw_true_arm(arm: ArmConfig, config: PlantConfig, T_M_C: Array, seed: np.random.SeedSequence) -> TrueArm:
+def sample_true_arm(arm: ArmConfig, config: PlantConfig, T_M_C: Array, seed: np.random.SeedSequence) -> TrueArm:
     """Create the true arm of ``arm`` at rest in its home position, with errors drawn from ``seed``."""
     geometry, base, repeatability, masses = (np.random.default_rng(s) for s in seed.spawn(4))
     errors = config.errors

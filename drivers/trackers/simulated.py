@@ -181,9 +181,9 @@ class SimulatedTracker:
         unmet = list(self.obstacles)
         if not self._initialised:
             unmet.append("it has not been initialised since it was switched on")
-        left = self._switched_on_s + self.errors.laser_s - self.plant.clock_s
-        if left > 0.0:
-            unmet.append(f"its laser is warming up, {left:.0f} s are left")
+        remaining = self._switched_on_s + self.errors.laser_s - self.plant.clock_s
+        if remaining > 0.0:
+            unmet.append(f"its laser is warming up, {remaining:.0f} s are left")
         return unmet
 
     # -- measuring -----------------------------------------------------------------------------------------------------
@@ -319,28 +319,28 @@ class SimulatedTracker:
     def _wait(self, duration_s: float) -> None:
         """Advance time in steps of at most ``watch_s``, up to each event. Raises ``Halted`` or ``TrackerLinkLost``."""
         end_s = self.plant.clock_s + duration_s
-        left = duration_s
-        while left > 0.0:
-            step = min(left, self._watch_s, self.plant.undisturbed_s)
+        remaining = duration_s
+        while remaining > 0.0:
+            step = min(remaining, self._watch_s, self.plant.undisturbed_s)
             self._pass_time(step)
             self._link()  # before the halt: a restart is a lost link
             if self._halt.is_set():
                 raise Halted("tracker: a halt was requested; no measurement was made")
-            left = 0.0 if left <= step else end_s - self.plant.clock_s
+            remaining = 0.0 if remaining <= step else end_s - self.plant.clock_s
 
     def _average(self, locked: TrueSmr, averaging_s: float) -> None:
         """Wait for the end of the averaging; check the target while anything moves or an event changes it."""
         began_s = self.plant.clock_s
-        left = averaging_s
-        while left > 0.0:
+        remaining = averaging_s
+        while remaining > 0.0:
             undisturbed_s = self.plant.undisturbed_s
-            step = min(left, self._watch_s, undisturbed_s, _WATCH_S if self._moving() else math.inf)
+            step = min(remaining, self._watch_s, undisturbed_s, _WATCH_S if self._moving() else math.inf)
             moved = self._moving() or step == undisturbed_s
             self._wait(step)
             moved = moved or any(self.plant.moving(n) or self.plant.rest_s(n) > began_s for n in self.plant.names)
             if moved:
                 self._check_target(locked, began_s)
-            left = 0.0 if left <= step else began_s + averaging_s - self.plant.clock_s
+            remaining = 0.0 if remaining <= step else began_s + averaging_s - self.plant.clock_s
 
     def _check_target(self, locked: TrueSmr, began_s: float) -> None:
         now = self.sight.behind_bodies(next(target for target in self.sight.targets() if target.owner == locked.owner))

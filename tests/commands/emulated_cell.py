@@ -18,7 +18,7 @@ from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError
 from cellapp.ground.outputs import NEW_ONLY
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken, ignore, ignore_words
+from cellapp.ground.progress import JobToken, ignore_words
 from drivers.trackers.bridge_settings import BridgeSettings
 from tests import latency
 from tests.waiting import WAIT_S
@@ -60,7 +60,7 @@ def _serve(
     """The emulators, in a process of their own because the real client holds the interpreter while it connects."""
     profile = profile_from_json(profile_text)
     arms = [arm.model_copy(update={"host": hosts[arm.arm]}) for arm in emulated_arms(profile)]
-    cancel = CancelToken()
+    cancel = JobToken()
 
     def until_told() -> None:
         pipe.poll(None)  # or until the other end is gone
@@ -117,4 +117,4 @@ def on_free_ports(profile: Profile) -> list[EmulatedArm]:
 
 def quiet_work(say: Callable[[str], None] = ignore_words) -> Work:
     """What a job has whose progress nobody follows: nobody can be asked, no file is replaced."""
-    return Work(ignore, JobControl(), lambda _: None, NEW_ONLY, say=say)
+    return Work(JobControl(), lambda _: None, NEW_ONLY, say=say)

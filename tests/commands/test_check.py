@@ -251,15 +251,15 @@ def test_a_model_that_is_out_of_date_is_checked_and_said_to_be(run: RunFile) -> 
 
 
 def test_the_stop_key_ends_it_and_nothing_is_stored(run: RunFile) -> None:
-    control = JobControl()
     opened: list[Cell] = []
 
     def pressed(event: Progress) -> None:
         if event.job == "check" and event.done == 2:
             control.stop()
 
+    control = JobControl(pressed)
     with pytest.raises(Stopped):
-        check_run(run, pressed, control, open_with=opening(opened.append))
+        check_run(run, control, open_with=opening(opened.append))
     assert CHECK not in read_stages(run).current
     assert not any(opened_plant(opened[0]).moving(name) for name in run.profile.arms)
 
@@ -274,7 +274,7 @@ def covering(run: RunFile, *arms: str, at: int) -> CheckResult:
             assert isinstance(tracker, SimulatedTracker)
             tracker.covered |= set(arms)
 
-    return check_run(run, cover, open_with=opening(opened.append))
+    return check_run(run, JobControl(cover), open_with=opening(opened.append))
 
 
 def test_an_smr_that_is_lost_leaves_the_verdict_open(run: RunFile) -> None:

@@ -23,6 +23,7 @@ from cellapp.commands.run_results import read_results
 from cellapp.commands.stages import read_stages
 from cellapp.commands.view.charts import Chart
 from cellapp.estimation.iso9283.records import Iso9283Result
+from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Progress
@@ -103,7 +104,7 @@ def test_what_was_measured_before_a_fault_is_stored(finished_copy: Path, monkeyp
     with RunFile.open(finished_copy, write=True) as run:
         request = asked(run, tests=["distance"], cycles=3, arms=["right"], commands="nominal")
         with pytest.raises(HardwareError, match="protective stop"):
-            iso9283_run(run, request, Work(listen))
+            iso9283_run(run, request, Work(JobControl(listen)))
         stored = read_results(run).iso9283
     assert stored is not None
     assert stored.stopped == "stopped: arm right: protective stop"

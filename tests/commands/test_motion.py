@@ -24,11 +24,11 @@ from cellapp.commands.next_step import arm_states, next_step
 from cellapp.commands.show.overview import run_overview
 from cellapp.commands.stages import read_stages
 from cellapp.commands.view.table import Table
-from cellapp.estimation.calibration import learning
+from cellapp.estimation.calibration import network_training
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
-from cellapp.ground.progress import Cancelled, CancelToken, Listener, Progress
+from cellapp.ground.progress import Cancelled, JobToken, Progress
 from cellapp.robot.kinematics.chain import smr_positions
 from tests.commands.moved_arms import OFFSET_S, RATE_PPM, SIGMA_M, add_arm, true_arm, write_recording
 from tests.interfaces.page.runs import without_devices
@@ -153,18 +153,18 @@ def test_long_fits_of_recordings_say_what_they_do_and_end_on_request(tmp_path: P
     profile = without_devices("left")
     import_new_run(profile, None, tmp_path / "run", recordings=files_of(tmp_path, profile, "left", seconds=20.0))
 
-    def events_until(words: str, job: Callable[[RunFile, Listener, CancelToken], object]) -> list[Progress]:
+    def events_until(words: str, job: Callable[[RunFile, JobToken], object]) -> list[Progress]:
         """Events of a job that is asked to end as soon as it says ``words``."""
         events: list[Progress] = []
-        cancel = CancelToken()
 
         def listen(event: Progress) -> None:
             events.append(event)
             if words in event.note:
-                cancel.cancel()
+                asked.cancel()
 
+        asked = JobToken(listen)
         with RunFile.open(tmp_path / "run", write=True) as run, pytest.raises(Cancelled):
-            job(run, listen, cancel)
+            job(run, asked)
         return events
 
     of_calibrate = events_until("with all points", calibrate_run)
@@ -176,7 +176,7 @@ def test_long_fits_of_recordings_say_what_they_do_and_end_on_request(tmp_path: P
     with RunFile.open(tmp_path / "run", write=True) as run:
         assert next_step(run, read_stages(run), arm_states(run)).verb == "calibrate"
         seen: list[Progress] = []
-        calibrate_run(run, seen.append)
+        calibrate_run(run, JobToken(seen.append))
     assert [(event.done, event.total) for event in seen if event.job == "recordings of motion"][-1] == (1, 1)
     of_discover = events_until("with backlash: step 1", discover_run)
     assert of_discover[-1].job == "discover"
@@ -195,7 +195,7 @@ def moved(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.slow
 def test_a_recording_teaches_and_the_comparison_is_said(moved: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("torch", reason="torch, of the extra learn, is not installed")
-    monkeypatch.setattr(learning, "_FEWEST_STEPS", 60)
+    monkeypatch.setattr(network_training, "_FEWEST_STEPS", 60)
     with RunFile.open(moved, write=True) as run:
         assert run.profile.network.kind == "none"
         result = calibrate_run(run, network="batches")

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from cellapp.cell.driving.records import RehearsedMotion
-from cellapp.cell.driving.rungs import RUNGS
+from cellapp.cell.driving.rehearsal_rungs import RUNGS
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.file import note_profile, rehearsals_path

@@ -40,10 +40,10 @@ from cellapp.commands.stages import append_stage, basis_of, read_stages
 from cellapp.commands.stored_model import comparable_arms
 from cellapp.commands.view.words import STAGE_WORDS
 from cellapp.estimation.discovery.records import DiscoverResult
-from cellapp.estimation.monitoring.moved import EXPANSION, CalibratedArm, determined_values, differences
-from cellapp.ground.asking import JOB_FILE
+from cellapp.estimation.monitoring.parameter_changes import EXPANSION, CalibratedArm, determined_values, differences
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError
+from cellapp.ground.job_client import JOB_FILE
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Traceability, TraceableArm
 from cellapp.ground.results import DISCOVER

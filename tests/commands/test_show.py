@@ -35,17 +35,17 @@ from cellapp.commands.view.table import Column, Table
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import ErrorSummary
 from cellapp.interfaces.cli.command_outputs import Commands
-from cellapp.interfaces.cli.derived import add_verb, command_of, group_of
-from cellapp.interfaces.page.drawn import drawn_parts
+from cellapp.interfaces.cli.verb_commands import add_verb, command_of, group_of
+from cellapp.interfaces.page.figures import drawn_parts
 from cellapp.interfaces.page.page import template
 from cellapp.interfaces.python.printed import html_view
 from cellapp.interfaces.render.terminal import plain_text
-from cellapp.interfaces.tui import offers
+from cellapp.interfaces.tui import confirmations
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.program import possible_commands
 from cellapp.interfaces.tui.dialogs.question import Reading
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
-from cellapp.interfaces.tui.work import job_of
+from cellapp.interfaces.tui.verb_jobs import job_of
 from tests.commands.toys.greet import VERB as GREET
 from tests.commands.toys.greet import GreetResult
 from tests.interfaces.tui.pilot import PROFILES, SMALL, opened, shown_text, until
@@ -257,7 +257,7 @@ def test_a_schema() -> None:
 async def test_a_dialog_a_job_and_a_text_in_the_terminal_application(
     run: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(offers, "records", lambda: WITH_TOY)
+    monkeypatch.setattr(confirmations, "records", lambda: WITH_TOY)
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
         await opened(pilot, app)

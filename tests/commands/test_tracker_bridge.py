@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 
 from cellapp.cell.driving.cell import tracker_driver
-from cellapp.cell.driving.examination import examine
+from cellapp.cell.driving.diagnosis import examine
 from cellapp.cell.profile import load_profile
 from cellapp.commands.emulate import EmulatedTracker, EmulateResult, emulate
 from cellapp.commands.tracker_bridge import TrackerBridgeRequest, TrackerBridgeResult, serve_tracker, view
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken
+from cellapp.ground.progress import JobToken
 from drivers.settings import SettingError
 from drivers.trackers.bridge import BridgeTracker
 from drivers.trackers.bridge_token import read_token
@@ -49,7 +49,7 @@ def asked(**options) -> TrackerBridgeRequest:
 
 @contextmanager
 def served(profile: Profile, **options):
-    cancel, up, found = CancelToken(), threading.Event(), []
+    cancel, up, found = JobToken(), threading.Event(), []
 
     def announce(where: TrackerBridgeResult) -> None:
         found.append(where)
@@ -95,18 +95,18 @@ def test_a_profiles_tracker_is_served_until_cancelled(token_file: Path) -> None:
 )
 def test_a_door_that_would_stand_open_is_refused(options, why) -> None:
     with pytest.raises(InputError, match=why):
-        serve_tracker(small_twin(), asked(**options), CancelToken(), lambda _: pytest.fail("it listens"))
+        serve_tracker(small_twin(), asked(**options), JobToken(), lambda _: pytest.fail("it listens"))
 
 
 def test_a_bridge_serves_no_bridge() -> None:
     profile = behind(small_twin(), "socket://127.0.0.1:50960")
     with pytest.raises(InputError, match=r"tracker\.driver is 'bridge'; to be served it must be"):
-        serve_tracker(profile, asked(), CancelToken(), lambda _: None)
+        serve_tracker(profile, asked(), JobToken(), lambda _: None)
 
 
 def test_a_port_in_use_is_said() -> None:
     with served(small_twin()) as where, pytest.raises(HardwareError, match=f"cannot listen at .* port {where.port}"):
-        serve_tracker(small_twin(), asked(port=where.port), CancelToken(), lambda _: None)
+        serve_tracker(small_twin(), asked(port=where.port), JobToken(), lambda _: None)
 
 
 def test_the_token_comes_from_where_it_is_said_to_be(token_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -190,7 +190,7 @@ def test_the_doctor_asks_the_tracker_behind_the_bridge() -> None:
 
 def test_arms_and_tracker_are_emulated_together() -> None:
     profile = behind(small_twin(), "socket://127.0.0.1:50960")
-    cancel = CancelToken()
+    cancel = JobToken()
 
     def announced(served: EmulateResult) -> None:
         assert served.tracker is not None

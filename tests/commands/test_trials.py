@@ -27,7 +27,7 @@ from cellapp.estimation.discovery.records import BeforeAfter
 from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.ground.executors import PoolWork
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import Cancelled, CancelToken, Progress
+from cellapp.ground.progress import Cancelled, JobToken, Progress
 from cellapp.interfaces import cli
 from cellapp.robot.effects import EFFECTS
 from cellapp.robot.kinematics.chain import JointAngles, jacobian, parameter_names, smr_positions
@@ -65,14 +65,14 @@ def judged_once(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[st
     """Three sealed runs that hide nothing, judged in two goes: folder, what the first go left in them, and outcome."""
     folder = tmp_path_factory.mktemp("judged") / "trials"
     seal_trials(small(), folder, 3, Setup(kind="none"), seed=SEED)
-    cancel = CancelToken()
 
     def stop_after_the_first(event: Progress) -> None:
         if event.done == 1:
-            cancel.cancel()
+            job.cancel()
 
+    job = JobToken(stop_after_the_first)
     with pytest.raises(Cancelled):
-        judge_trials(folder, PoolWork(listener=stop_after_the_first, cancel=cancel))
+        judge_trials(folder, PoolWork(job=job))
     first = stored(folder)
     return folder, first, judge_trials(folder, PoolWork())
 
@@ -206,15 +206,14 @@ def test_what_geometry_can_follow_is_not_visible() -> None:
 
 @pytest.mark.parametrize("place", ["new", "."])
 def test_a_sealing_that_ends_early_leaves_nothing(tmp_path: Path, place: str) -> None:
-    cancel = CancelToken()
-
     def stop_after_the_first(event: Progress) -> None:
         if event.done == 1:
-            cancel.cancel()
+            job.cancel()
 
+    job = JobToken(stop_after_the_first)
     twin = small_twin(plan={"method": "random"})
     with pytest.raises(Cancelled):
-        seal_trials(twin, tmp_path / place, 3, Setup(kind="none"), listener=stop_after_the_first, cancel=cancel)
+        seal_trials(twin, tmp_path / place, 3, Setup(kind="none"), job=job)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -281,7 +280,7 @@ def test_judging_goes_on_where_it_was_stopped(judged_once: tuple[Path, list[str]
     assert all(after)
     assert [text for text, before in zip(after, first, strict=True) if before] == done, "not judged twice"
     events: list[Progress] = []
-    assert judge_trials(folder, PoolWork(listener=events.append)).trials == result.trials
+    assert judge_trials(folder, PoolWork(job=JobToken(events.append))).trials == result.trials
     assert [(event.done, event.total) for event in events] == [(3, 3)]
     assert stored(folder) == after
 

@@ -48,13 +48,13 @@ def test_a_limit_is_over_after_its_time(clock: Clock) -> None:
 def test_a_suspension_hardly_counts_and_leaves_time_to_read(clock: Clock) -> None:
     limit = Patience(0.3)
     clock.run(0.04)
-    assert limit.left_s == pytest.approx(0.26)
+    assert limit.remaining_s == pytest.approx(0.26)
     clock.run(3.0)
-    assert limit.left_s == pytest.approx(0.26 - MOST_S)
+    assert limit.remaining_s == pytest.approx(0.26 - MOST_S)
     clock.run(0.1)
-    assert limit.left_s == pytest.approx(0.06)
+    assert limit.remaining_s == pytest.approx(0.06)
     clock.run(3.0)
-    assert limit.left_s == pytest.approx(SLICE_S)
+    assert limit.remaining_s == pytest.approx(SLICE_S)
     clock.run(1.01 * SLICE_S)
     assert limit.over
 
@@ -64,13 +64,13 @@ def test_a_part_ends_with_the_whole_and_is_counted_in_it(clock: Clock) -> None:
     part = whole.share(0.5)
     for _ in range(10):
         clock.run(0.0501)
-        assert part.left_s >= 0.0
+        assert part.remaining_s >= 0.0
     assert part.over
-    assert whole.left_s == pytest.approx(0.5, abs=0.002)
+    assert whole.remaining_s == pytest.approx(0.5, abs=0.002)
     longer = Patience(9.0, whole)
     for _ in range(10):
         clock.run(0.05)
-        assert longer.left_s >= 0.0
+        assert longer.remaining_s >= 0.0
     assert longer.over
 
 

@@ -28,7 +28,7 @@ from cellapp.estimation.prior.update import parameter_words
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import EFFECTS
 from cellapp.robot.kinematics.chain import parameter_names
-from drivers.plant.suggest import suggest
+from drivers.plant.random_effects import suggest
 from tests.evidence.shared.cells import TWIN
 from tests.evidence.shared.changes import Changed, parameter_plant, shifted_plant, worn_plant
 from tests.evidence.skeleton import Evidence, Limit, Share, Table

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from cellapp.estimation.calibration.calibrate import calibrate_arm
-from cellapp.estimation.calibration.learning import learn
 from cellapp.estimation.calibration.least_squares import NORMAL_95
+from cellapp.estimation.calibration.network_training import learn
 from cellapp.estimation.calibration.quantities import ArmReadings, measured_quantities, measurement_conditions
 from cellapp.estimation.discovery.discover import discover_arm
 from cellapp.estimation.readings import Readings
@@ -24,7 +24,7 @@ from cellapp.ground.profile import Profile
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel, ResidualNetwork
-from tests.evidence.shared.series import draw_rows, load_entrant
+from tests.evidence.shared.series import load_entrant, sample_rows
 from tests.evidence.skeleton import Evidence, Limit, Table
 
 TITLE = "Real robots"
@@ -60,7 +60,7 @@ def cases(asked: argparse.Namespace) -> dict[str, dict[str, Any]]:
 def one(case: dict[str, Any]) -> dict[str, Any]:
     """Learn from the drawn rows, and judge geometry and discovery by the held-out ones."""
     entrant = load_entrant(case["series"])
-    drawn = draw_rows(entrant, case["rows"], case["seed"])
+    drawn = sample_rows(entrant, case["rows"], case["seed"])
     profile = entrant.profile.model_copy(update={"seed": case["seed"]})
     readings = drawn.split(entrant.readings)
     conditions = measurement_conditions(readings)

@@ -23,7 +23,7 @@ from cellapp.estimation.readings import Readings
 from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
 from tests.evidence.shared.cells import TWIN, bare_stops, drawn_cell, measured_by
-from tests.evidence.shared.series import draw_rows, load_entrant
+from tests.evidence.shared.series import load_entrant, sample_rows
 from tests.evidence.skeleton import Evidence, Limit, Table
 
 TITLE = "Error over the number of readings"
@@ -76,7 +76,7 @@ def one(case: dict[str, Any]) -> dict[str, Any]:
 def _of_series(case: dict[str, Any]) -> tuple[Profile, str, Readings]:
     entrant = load_entrant(case["series"])
     profile = entrant.profile.model_copy(update={"seed": case["seed"]})
-    return profile, entrant.arm, draw_rows(entrant, case["n"], case["seed"]).split(entrant.readings)
+    return profile, entrant.arm, sample_rows(entrant, case["n"], case["seed"]).split(entrant.readings)
 
 
 def _simulated(case: dict[str, Any]) -> tuple[Profile, str, Readings]:

@@ -18,7 +18,7 @@ from typing import Any
 from scipy.stats import beta
 
 from cellapp.ground.executors import PoolWork, gather
-from cellapp.ground.progress import Progress
+from cellapp.ground.progress import JobToken, Progress
 
 FOLDER = Path(__file__).parent
 ROOT = FOLDER.parents[1]
@@ -116,7 +116,7 @@ def run(name: str, arguments: Sequence[str]) -> int:
     if not asked.resume:
         kept.unlink(missing_ok=True)
     jobs = 1 if getattr(module, "ALONE", False) and asked.scheduler is None else asked.jobs
-    work = PoolWork(jobs, asked.scheduler, kept, listener=_say)
+    work = PoolWork(jobs, asked.scheduler, kept, job=JobToken(_say))
     given = module.cases(asked)
     gathered = gather(_one, partial(program, name), given, dict, name, work, all_may_fail=True)
     if not gathered.found:

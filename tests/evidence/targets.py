@@ -46,7 +46,7 @@ from cellapp.robot.model import ArmModel, CellModel
 from cellapp.robot.model.nominal import pose_matrix
 from drivers.plant import Plant
 from tests.evidence.shared.cells import TWIN
-from tests.evidence.shared.target_draws import draw_hidden, draw_pairs, draw_targets
+from tests.evidence.shared.target_draws import sample_hidden, sample_pairs, sample_targets
 from tests.evidence.skeleton import Evidence, Limit, Table
 from tests.verbs import locate_run
 
@@ -60,7 +60,7 @@ _ROTATION = (math.radians(8.0), math.radians(25.0))
 """Range of the angle about the cell's z axis from the old station to the new one: some steps to one side."""
 _PACED_M, _PACED_RAD = 0.02, math.radians(0.4)
 """Standard deviation of each coordinate and angle of a station measured by pacing."""
-_FLOOR_DRAWS = 5
+_FLOOR_SAMPLES = 5
 """Repeated measurements of each target: with 200 targets the mean is known to 1.5 %."""
 
 
@@ -88,7 +88,7 @@ def one(case: dict[str, Any]) -> dict[str, Any]:
     profile = with_hidden(twin, {}, seed)
     with TemporaryDirectory() as folder, new_planned_run(profile, Path(folder) / "run") as run:
         duration_s = planned_time(profile, read_planned_stops(run)).total_s
-        hidden = draw_hidden(twin, seed, duration_s)
+        hidden = sample_hidden(twin, seed, duration_s)
         plant = build_plant(with_hidden(twin, hidden, seed))
         collect_run(run, opened=partial(open_cell, plant=plant))
         calibrate_run(run)
@@ -144,8 +144,8 @@ def _locate(run: RunFile, bench: _Bench) -> LocateVerdict:
 def _state(bench: _Bench, count: int) -> dict[str, dict[str, float | None]]:
     """Draw new targets, compensate them, and measure them."""
     seed = bench.seed + (_OTHER_TARGETS if bench.moved else 0)
-    singles = draw_targets(bench.profile, bench.model, count, seed)
-    both = draw_pairs(bench.profile, bench.model, count, seed)
+    singles = sample_targets(bench.profile, bench.model, count, seed)
+    both = sample_pairs(bench.profile, bench.model, count, seed)
     result = _measured(bench, [*singles, *both])
     names = {target.name for target in singles}
     alone = [target for target in result.targets if target.name in names]
@@ -222,7 +222,7 @@ def _scatter(bench: _Bench, q: Mapping[str, Array]) -> dict[str, Array]:
     for name, here in q.items():
         exact = plant.smr_positions(name, here)
         drawn = []
-        for _ in range(_FLOOR_DRAWS):
+        for _ in range(_FLOOR_SAMPLES):
             stopped = here + plant.config.repeatability * rng.standard_normal(here.shape)
             drawn.append(plant.measure_positions(plant.smr_positions(name, stopped), rng)[0] - exact)
         errors[name] = np.array(drawn)

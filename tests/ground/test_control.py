@@ -24,7 +24,7 @@ import cellapp
 from cellapp.ground.control import Aborted, JobControl, Stopped
 from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.ground.executors import ComputingLost, PoolWork, gather
-from cellapp.ground.progress import Cancelled, CancelToken, Progress, eta_words, in_lines, with_eta
+from cellapp.ground.progress import Cancelled, JobToken, Progress, eta_words, in_lines, with_eta
 from cellapp.ground.results import Record
 
 
@@ -97,21 +97,21 @@ def test_waiting_ends_with_the_request() -> None:
 
 def test_who_leaves_is_named_once_and_nothing_resumes() -> None:
     control, braked = JobControl(holds=True), list[tuple[str, str]]()
-    with control.brakes(lambda verb: braked.append((verb, control.left))):
+    with control.brakes(lambda verb: braked.append((verb, control.departure))):
         control.leave("the terminal was closed")
         control.leave("the application ended")
         control.resume()
         with pytest.raises(Stopped, match="the terminal was closed"):
             control.check()
     assert braked == [("stop", "the terminal was closed")]
-    assert (control.request, control.left) == ("stop", "the terminal was closed")
+    assert (control.request, control.departure) == ("stop", "the terminal was closed")
 
 
 # -- Numbers with the noun that they count, one function for all sentences ---------------------------------------------
 
 _NOUNS = ("targets", "stops", "readings", "cycles", "checks", "positions")
 _NUMBER = re.compile(
-    r"len\(.*\)|count|left|rows|wanted|total|done|asked|n|.*\.(n|stops|cycles|readings|stops_left|targets)"
+    r"len\(.*\)|count|remaining|todo|rows|wanted|total|done|asked|n|.*\.(n|stops|cycles|readings|stops_left|targets)"
 )
 _AT_LEAST_TWO = {"one.targets"}
 """Of sentences that are said of two or more only."""
@@ -223,14 +223,15 @@ def test_another_file_is_no_results_file_and_stays(tmp_path: Path, text: str) ->
 
 
 def test_a_cancelled_job_begins_nothing_and_keeps_what_ended(tmp_path: Path) -> None:
-    cancel, kept = CancelToken(), tmp_path / "kept.jsonl"
+    kept = tmp_path / "kept.jsonl"
 
     def after_two(event: Progress) -> None:
         if event.done == 2:
-            cancel.cancel()
+            job.cancel()
 
+    job = JobToken(after_two)
     with pytest.raises(Cancelled):
-        values(FOUR, PoolWork(results=kept, listener=after_two, cancel=cancel))
+        values(FOUR, PoolWork(results=kept, job=job))
     assert len(kept.read_text().splitlines()) == 2
 
 
@@ -306,7 +307,7 @@ def test_workers_of_a_cluster_give_the_same(cluster: tuple[str, subprocess.Popen
 
     more = FOUR | {f"slow {number}": 1000 + number for number in range(3)}
     with pytest.raises(ComputingLost, match="the scheduler is gone"):
-        values(more, PoolWork(jobs=None, scheduler=address, results=work.results, listener=end_it))
+        values(more, PoolWork(jobs=None, scheduler=address, results=work.results, job=JobToken(end_it)))
 
 
 def test_no_scheduler_is_said_with_what_to_do() -> None:

@@ -319,9 +319,9 @@ def require_load(cell: Cell, profile: Profile) -> None:
     for name, arm in profile.arms.items():
         if cell.plant is not None:
             cell.plant.set_payload(name, arm.payload.mass, np.array(arm.payload.center_of_mass))
-        if doubt := known_payload(cell.arms[name], arm.payload.mass):
+        if misfit := known_payload(cell.arms[name], arm.payload.mass):
             raise HardwareError(
-                f"arm {name}: not moved with {arm.payload.mass:g} kg: {doubt}; set it, then continue with --resume"
+                f"arm {name}: not moved with {arm.payload.mass:g} kg: {misfit}; set it, then continue with --resume"
             )
 
 

@@ -19,7 +19,7 @@ from cellapp.cell.driving.measuring import APART_M, MISSED, FoundPoint, SmrSearc
 from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover
 from cellapp.cell.driving.supervision import MovingCell, Opened, moving_cell
 from cellapp.cell.driving.target_visit import Driver
-from cellapp.cell.planning.planned_stops import time_notice, visits_s
+from cellapp.cell.planning.planned_stops import tell_time, visits_s
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import clear_stops, visible_stops
 from cellapp.estimation.monitoring.belief import SequentialState
@@ -28,7 +28,6 @@ from cellapp.ground.control import JobControl
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import Listener, Progress, ignore
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import CellModel
 from drivers.arms.protocol import ArmState
@@ -81,8 +80,7 @@ class DrivenCheck:
 def drive_check(
     task: CheckTask,
     test: StopTest,
-    listener: Listener = ignore,
-    control: JobControl | None = None,
+    control: JobControl,
     *,
     confirm: Confirm | None = None,
     opened: Callable[[Cell], object] = lambda cell: None,
@@ -103,18 +101,18 @@ def drive_check(
     Stopped, Aborted
         On request; the arms have been braked.
     """
-    profile, control = task.profile, control or JobControl()
+    profile = task.profile
     with moving_cell(profile, task.model, control, confirm=confirm, opened=opened, open_with=open_with) as moving:
         repeat, mover = profile.collection.repeat, moving.mover
         repeats = 1 if repeat.precision is None else repeat.times
         search = SmrSearch(profile, task.model, mover, np.eye(4), task.excess_m, repeats, moving.hold)
-        checking = _Checking(task, test, moving, mover, Driver(mover, home_positions(profile)), search, listener)
+        checking = _Checking(task, test, moving, mover, Driver(mover, home_positions(profile)), search, control)
         seconds = visits_s(profile, [{name: its.q[0] for name, its in stop.items()} for stop in task.stops])
-        listener(time_notice("check", profile, seconds, 0, len(task.stops), "takes at most about"))
+        tell_time(control, "check", profile, seconds, 0, len(task.stops), "takes at most about")
         driven = checking.visit_all()
         mover.go_home()
         driven.seconds = checking.elapsed_s()
-    listener(Progress("check", len(task.stops), len(task.stops), "done"))
+    control.tell("check", len(task.stops), len(task.stops), "done")
     return driven
 
 
@@ -129,7 +127,7 @@ class _Checking:
     mover: Mover
     driver: Driver
     search: SmrSearch
-    listener: Listener
+    control: JobControl
     driven: DrivenCheck = field(default_factory=DrivenCheck)
 
     def __post_init__(self) -> None:
@@ -147,7 +145,7 @@ class _Checking:
             wanted = {name: q for name, q in stop.items() if name not in self.driven.lost}
             if not wanted:
                 break
-            self.listener(Progress("check", number, len(self.task.stops), f"stop {number + 1}"))
+            self.control.tell("check", number, len(self.task.stops), f"stop {number + 1}")
             if self._visit(number, wanted):
                 break
         if not self.driven.stops:

@@ -18,7 +18,7 @@ import numpy as np
 
 from cellapp.cell.driving.cell import Cell, open_cell, start_tracker
 from cellapp.cell.driving.cell_checks import Hung, change_load, check_controllers, other_loads, require_load
-from cellapp.cell.driving.examination import require_links
+from cellapp.cell.driving.diagnosis import require_links
 from cellapp.cell.driving.live_model import AirTemperature, LiveModel
 from cellapp.cell.driving.measuring import References, SmrMeasurement
 from cellapp.cell.driving.motion import (
@@ -33,10 +33,10 @@ from cellapp.cell.driving.motion import (
 )
 from cellapp.cell.driving.reaction import CellStopped, StopCause, StopReaction, cause_of
 from cellapp.cell.driving.records import CollectResult, End
+from cellapp.cell.driving.stops_to_collect import StopQueue, Travel, Work, forbidden_stops, remaining_work, work_again
 from cellapp.cell.driving.supervision import CellSupervisor, Opened, opening, reacting
-from cellapp.cell.driving.sweeping import SweepDriver, Sweeps, sweeps_left
-from cellapp.cell.driving.work import StopQueue, Travel, Work, forbidden_stops, remaining_work, work_again
-from cellapp.cell.planning.planned_stops import planned_time, time_notice
+from cellapp.cell.driving.sweeping import SweepDriver, Sweeps, due_sweeps
+from cellapp.cell.planning.planned_stops import planned_time, tell_time
 from cellapp.cell.run import Outcome, RunFile, SessionEnd
 from cellapp.cell.run.measured_again import (
     missing_readings,
@@ -53,16 +53,7 @@ from cellapp.ground.control import Aborted, JobControl, Stopped
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import (
-    Detail,
-    Listener,
-    LogReport,
-    MeasurementBegun,
-    PointMissed,
-    Progress,
-    Suspicion,
-    ignore,
-)
+from cellapp.ground.progress import Detail, LogReport, MeasurementBegun, PointMissed, Suspicion
 from drivers.arms.protocol import ArmError, ArmState
 from drivers.plant import Plant
 from drivers.trackers.protocol import TargetLost, TrackerError, Unstable, WrongTarget
@@ -95,7 +86,6 @@ class CollectSession:
     bodies: CellBodies
     reaction: StopReaction
     control: JobControl
-    listener: Listener
     number: int
     accept_drift: bool = False
     confirm: Confirm | None = None
@@ -307,10 +297,10 @@ class CollectSession:
         stops = self._allowed_stops()
         while self.cell.clock.now_s() < self._warm_until_s and stops:
             for stop in stops:
-                left_s = self._warm_until_s - self.cell.clock.now_s()
-                if left_s <= 0.0:
+                remaining_s = self._warm_until_s - self.cell.clock.now_s()
+                if remaining_s <= 0.0:
                     break
-                self._emit(note=f"warming up, {left_s / 60.0:.0f} min left")
+                self._emit(note=f"warming up, {remaining_s / 60.0:.0f} min left")
                 self._supervisor.checkpoint()
                 with suppress(MotionRefused):  # the next stop may be reachable
                     self._travel.to_stop(stop)
@@ -441,7 +431,7 @@ class CollectSession:
 
     def _emit(self, detail: Detail | None = None, note: str = "") -> None:
         self.cell.pulse.beat()
-        self.listener(Progress("collect", self._queue.finished, self._queue.total, note, detail=detail))
+        self.control.tell("collect", self._queue.finished, self._queue.total, note, detail=detail)
 
     def _record(self, kind: str, reason: str) -> None:
         """Record a request or a suspension in the run; if writing fails, note it: the arms still need attention."""
@@ -479,7 +469,6 @@ class CollectSession:
 
 def collect_run(
     run: RunFile,
-    listener: Listener = ignore,
     control: JobControl | None = None,
     *,
     resume: bool = False,
@@ -515,20 +504,20 @@ def collect_run(
     """
     control = control or JobControl()
     work = work_again(run, again) if again is not None else remaining_work(run, resume=resume)
-    if not work.stops and not (again is None and sweeps_left(run)):
+    if not work.stops and not (again is None and due_sweeps(run)):
         return _collected(run, "complete", [f"all {counted(work.total, 'stop was', 'stops were')} stored already"])
     _require_space(run, work)
     require_links(run.profile, control.check)
-    sweeps_s = 0.0 if work.again else sum(one.period_s for one in chain(*sweeps_left(run).values()))
+    sweeps_s = 0.0 if work.again else sum(one.period_s for one in chain(*due_sweeps(run).values()))
     planned_s = planned_time(run.profile, work.route.take(work.stops)).total_s if work.stops else 0.0
-    listener(time_notice("collect", run.profile, planned_s + sweeps_s, work.stored, work.total))
+    tell_time(control, "collect", run.profile, planned_s + sweeps_s, work.stored, work.total)
     before = replaced_counts(run)
-    sessions = _Sessions(run, listener, control, accept_drift, confirm, opened)
+    sessions = _Sessions(run, control, accept_drift, confirm, opened)
     for load in work.loads or (0,):
         profile = change_load(run, load, payload, hung)
         payload = None  # it describes the first load only
-        left = work if work.again or run.profile.loads == 1 else remaining_work(run, resume=True)
-        outcome = sessions.collect(profile, left.with_load(load))
+        work_here = work if work.again or run.profile.loads == 1 else remaining_work(run, resume=True)
+        outcome = sessions.collect(profile, work_here.with_load(load))
     result = _collected(run, outcome, sessions.notes, sessions.standard_error_mm)
     if not work.again:
         return result
@@ -538,7 +527,7 @@ def collect_run(
 
 def _require_space(run: RunFile, work: Work) -> None:
     """Raise ``InputError`` unless all that remains to be collected can be written; nothing has moved."""
-    stops, sweeps = len(work.stops) + len(work.reserves), [] if work.again else [*chain(*sweeps_left(run).values())]
+    stops, sweeps = (len(work.stops) + len(work.reserves), [] if work.again else [*chain(*due_sweeps(run).values())])
     readings = stops * len(work.plan)
     needed = min(stops * _STOP_BYTES, _LOG_BYTES) + readings * _READING_BYTES
     needed += round(sum(sweep.period_s for sweep in sweeps) * _SWEEP_BYTES_S)
@@ -551,7 +540,6 @@ class _Sessions:
     """Consecutive sessions of a run, one per load; a simulated cell keeps its state from one to the next."""
 
     run: RunFile
-    listener: Listener
     control: JobControl
     accept_drift: bool
     confirm: Confirm | None
@@ -590,7 +578,6 @@ class _Sessions:
                     bodies=bodies,
                     reaction=reaction,
                     control=control,
-                    listener=self.listener,
                     number=number,
                     accept_drift=self.accept_drift,
                     confirm=self.confirm,

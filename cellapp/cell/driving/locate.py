@@ -22,7 +22,6 @@ from cellapp.ground.control import JobControl
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import HardwareError
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import Listener, Progress, ignore
 from cellapp.robot.kinematics.transforms import Array, twist_columns
 from cellapp.robot.model import CellModel
 from cellapp.robot.model.model import relocated
@@ -153,8 +152,7 @@ class LocateTask:
 
 def locate_station(
     task: LocateTask,
-    listener: Listener = ignore,
-    control: JobControl | None = None,
+    control: JobControl,
     *,
     confirm: Confirm | None = None,
     opened: Callable[[Cell], object] = lambda cell: None,
@@ -174,19 +172,19 @@ def locate_station(
     Stopped, Aborted
         On request; the arms have been braked.
     """
-    profile, model, control = task.profile, task.model, control or JobControl()
+    profile, model = task.profile, task.model
     with moving_cell(
         profile, model, control, confirm=confirm, opened=opened, open_with=open_with, slow_visits=None
     ) as moving:
         mover = moving.mover
         stops = LocatingStops(profile, model, moving.bodies, task.candidates)
         search = SmrSearch(profile, model, mover, task.rough_T, task.excess_m, _REPEATS, moving.hold)
-        measuring = _Measuring(task, mover, stops, search, moving.hold, listener)
-        count, left = divmod(task.points, len(task.candidates))  # the first arms take the remainder
-        measuring.measure({name: count + (k < left) for k, name in enumerate(task.candidates)})
+        measuring = _Measuring(task, mover, stops, search, moving.hold, control)
+        count, remainder = divmod(task.points, len(task.candidates))  # the first arms take the remainder
+        measuring.measure({name: count + (k < remainder) for k, name in enumerate(task.candidates)})
         fit = measuring.fit()
         mover.go_home()
-    listener(Progress("locate", len(measuring.found), len(measuring.found), "done"))
+    control.tell("locate", len(measuring.found), len(measuring.found), "done")
     return LocatedStation(tuple(measuring.found), measuring.search.points(), fit, tuple(measuring.notes))
 
 
@@ -200,7 +198,7 @@ class _Measuring:
     stops: LocatingStops
     search: SmrSearch
     checkpoint: Callable[[], None]
-    listener: Listener
+    control: JobControl
     notes: list[str] = field(default_factory=list)
     _missed: int = 0
 
@@ -240,7 +238,7 @@ class _Measuring:
             if q is None:
                 self.notes.append(f"arm {name}: no further joint positions are in the tracker's sight and within reach")
                 return
-            self.listener(Progress("locate", len(self.found), total, f"arm {name}"))
+            self.control.tell("locate", len(self.found), total, f"arm {name}")
             if self._visit(name, q):
                 count -= 1
 

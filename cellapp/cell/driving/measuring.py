@@ -439,8 +439,8 @@ def share_of_chance(found: Sequence[FoundPoint]) -> float:
 
 def covariances(found: Sequence[FoundPoint], by_chance: float) -> Array:
     """Return the covariances of the means of repeats (m, 3, 3) [m^2]."""
-    left = [1.0 - by_chance * (1.0 - 1.0 / len(one.repeats_M)) for one in found]
-    return np.array([part * one.point.covariance_M for part, one in zip(left, found, strict=True)])
+    kept = [1.0 - by_chance * (1.0 - 1.0 / len(one.repeats_M)) for one in found]
+    return np.array([part * one.point.covariance_M for part, one in zip(kept, found, strict=True)])
 
 
 def lattice(reach_m: float) -> list[Vector]:

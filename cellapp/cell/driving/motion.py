@@ -1,4 +1,4 @@
-"""Motion and measurement in an open cell: the gate checks every motion; doubt about one arm stops all arms.
+"""Motion and measurement in an open cell: the gate checks every motion; a fault of one arm stops all arms.
 
 Reports of the steps of collecting: the same details and sentences live and from a stored run.
 """
@@ -34,9 +34,9 @@ from cellapp.estimation.readings import Reading
 from cellapp.ground.errors import CellappError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import (
-    CancelToken,
     Detail,
     JobState,
+    JobToken,
     LogReport,
     MotionBegun,
     MotionEnded,
@@ -189,7 +189,7 @@ class MotionRefused(CellappError):
 class Mover:
     """Moves the arms of one open cell, records the last motion of each joint, and measures.
 
-    Every motion starts from the joint positions that the controllers report. Any doubt triggers ``reaction``; nothing
+    Every motion starts from the joint positions that the controllers report. Any fault triggers ``reaction``; nothing
     moves while that is latched. ``emit`` is called at the beginning and at the end of every motion.
     """
 
@@ -320,7 +320,7 @@ class Mover:
 
         ``paths`` maps arm -> positions (m, N) [rad] and their period [s]. Return the row at which its ``end_path``
         ended each early, with a fraction; else inf. If several arms are no longer where the gate expected them relative
-        to each other, that is a doubt, which stops all. ``look`` is called at the start and then each half second, or
+        to each other, that is a fault, which stops all. ``look`` is called at the start and then each half second, or
         more often.
 
         Raises
@@ -389,7 +389,7 @@ class Mover:
     def _confirm_links(self) -> None:
         """Check that every link of every arm responds now, also of arms that stay at rest.
 
-        Raise ``CellStopped`` if one does not: no motion begins while there is a doubt.
+        Raise ``CellStopped`` if one does not: no motion begins while there is a fault.
         """
         arms = self._cell.arms
         _, errors = answers_of_all(self._cell.together, {name: arm.confirm for name, arm in arms.items()})
@@ -447,14 +447,14 @@ class Mover:
     ) -> dict[str, ArmState]:
         """Wait in rounds until all arms are at rest in the same round; return their states.
 
-        Each round calls ``look`` and waits at most ``round_s`` [s] for each arm. A doubt about any arm brakes all of
+        Each round calls ``look`` and waits at most ``round_s`` [s] for each arm. A fault of any arm brakes all of
         them, which ends every wait at once.
         """
         for name in names:
             self._rest_since_s.pop(name, None)
-        left_s, standing_s, late = timeout_s, 0.0, ""
+        remaining_s, standing_s, late = timeout_s, 0.0, ""
         round_s = _ROUND_S if look is None else round_s
-        while left_s > 0.0 and standing_s < _STANDSTILL_S:
+        while remaining_s > 0.0 and standing_s < _STANDSTILL_S:
             states, fraction = {}, 1.0
             if look is not None:
                 look()
@@ -477,7 +477,7 @@ class Mover:
             if fraction < _LEAST_FRACTION:
                 standing_s += round_s
             else:
-                left_s -= round_s * fraction
+                remaining_s -= round_s * fraction
         text = f"arm {late}: did not come to rest within {timeout_s:.0f} s"
         if standing_s >= _STANDSTILL_S:
             text = f"arm {late}: its speed slider is at 0 %, so that it does not move; raise it on the pendant"
@@ -516,14 +516,14 @@ class Mover:
         conditions |= {key: getattr(point, key) for key in same}
         return Reading(approach=self.approach(name).copy(), step=self.step(name), **conditions)
 
-    def rest(self, name: str, dwell_s: float, cancel: CancelToken) -> None:
+    def rest(self, name: str, dwell_s: float, job: JobToken) -> None:
         """Wait until an arm has been at rest for ``dwell_s`` [s]. Raise as soon as the cell is stopped."""
-        left_s = dwell_s - (self.rested_s(name) or 0.0)
-        if left_s > 0.0:
+        remaining_s = dwell_s - (self.rested_s(name) or 0.0)
+        if remaining_s > 0.0:
             with self._cell.pulse.waiting():
-                self._cell.clock.wait(left_s, cancel.wait)
+                self._cell.clock.wait(remaining_s, job.wait)
         self._reaction.check()
-        cancel.check()
+        job.check()
 
     def measure(self, name: str, q: Vector) -> PointAtRest:
         """Measure the SMR of an arm that came to rest at ``q`` (N,) [rad]; try twice.

@@ -1,4 +1,4 @@
-"""Reaction of the whole cell to a doubt: all arms brake at once and in parallel; diagnosis comes afterwards.
+"""Reaction of the whole cell to a fault: all arms brake at once and in parallel; diagnosis comes afterwards.
 
 The first cause latches the reaction. Nothing moves until ``release``, which reconnects every arm. The call that latches
 it withdraws every arm's permission to start a motion before it returns. Braking and watching until rest run in threads
@@ -66,7 +66,7 @@ def cause_of(name: str, error: ArmError) -> StopCause:
 
 
 class StopReaction:
-    """Latch and brakes of one open cell. ``trigger`` may be called from any thread, all else from the job's thread.
+    """Stop latch and brakes of one open cell. ``trigger`` may be called from any thread; others: from the job's thread.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ class StopReaction:
         self._watched: set[str] = set()  # arms that a thread is watching until they rest
         self._rested = threading.Condition(self._lock)
         for name, arm in arms.items():
-            arm.watch(partial(self._doubt, name))
+            arm.watch(partial(self._fault, name))
 
     @property
     def cause(self) -> StopCause | None:
@@ -126,7 +126,7 @@ class StopReaction:
                     self._halts[name] = Halt("asked", cause.text)
         self._together([*(partial(self._halt, name) for name in self._arms), self._halt_tracker])
 
-    def _doubt(self, name: str, error: ArmError) -> None:
+    def _fault(self, name: str, error: ArmError) -> None:
         self.trigger(cause_of(name, error))
 
     def check(self) -> None:
@@ -147,7 +147,7 @@ class StopReaction:
     def release(self, known: Sequence[StopCause]) -> None:
         """Reconnect all arms, after a person allowed it or the cause was harmless. Nothing moves.
 
-        ``known`` are the causes that the caller knows. The latch opens first, so that a new doubt closes it again.
+        ``known`` are the causes that the caller knows. The stop latch opens first, so that a new fault closes it again.
 
         Raises
         ------
@@ -155,7 +155,7 @@ class StopReaction:
             If another cause came, or an arm is not ready; then the cell is stopped.
         """
         with self._rested:
-            self._rested.wait_for(lambda: not self._watched)  # no old watch may end after the latch is open
+            self._rested.wait_for(lambda: not self._watched)  # no old watch may end after the stop latch is open
             if self._causes != tuple(known):
                 raise CellStopped(self._causes[-1])
             self._causes = ()

@@ -13,7 +13,7 @@ from pydantic import Field
 from cellapp.cell.planning.records import PlanDesignResult, PlannedTime
 from cellapp.cell.run.records import ArmOrder, RecordingState, ReferenceDrift
 from cellapp.cell.run.sqlite_file import Outcome, Session
-from cellapp.ground.asking import Verb
+from cellapp.ground.job_client import Verb
 from cellapp.ground.results import Record, Result
 
 End = Literal["complete", "accurate enough"]

@@ -13,14 +13,14 @@ from cellapp.cell.driving.cell_checks import check_controllers
 from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover
 from cellapp.cell.driving.reaction import StopReaction
 from cellapp.cell.driving.records import RehearsedMotion
-from cellapp.cell.driving.rungs import RUNGS, Rung, RungName
+from cellapp.cell.driving.rehearsal_rungs import RUNGS, Rung, RungName
+from cellapp.cell.driving.stops_to_collect import Travel, Work, forbidden_stops, remaining_work
 from cellapp.cell.driving.supervision import hold_while_paused, reacting
-from cellapp.cell.driving.work import Travel, Work, forbidden_stops, remaining_work
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError
-from cellapp.ground.progress import Detail, Listener, MotionBegun, MotionEnded, Progress
+from cellapp.ground.progress import Detail, MotionBegun, MotionEnded
 from cellapp.robot.kinematics.transforms import Array
 
 
@@ -48,7 +48,7 @@ class Rehearsal:
 
 
 def rehearse(
-    run: RunFile, name: RungName, arms: Sequence[str], listener: Listener, control: JobControl, confirm: Confirm | None
+    run: RunFile, name: RungName, arms: Sequence[str], control: JobControl, confirm: Confirm | None
 ) -> Rehearsal:
     """Drive the planned stops of a run for one rung with ``arms``; the others stay where they are. Store nothing.
 
@@ -65,7 +65,7 @@ def rehearse(
     try:
         with open_arms(run.profile, control, simulation=rung.simulation) as cell, reacting(cell, control) as reaction:
             found.notes = check_controllers(run, cell)
-            _Driver(run, work, rung, tuple(arms), cell, reaction, control, listener, found).drive(confirm)
+            _Driver(run, work, rung, tuple(arms), cell, reaction, control, found).drive(confirm)
     except (HardwareError, MotionRefused) as error:
         found.ended = str(error)
     return found
@@ -82,7 +82,6 @@ class _Driver:
     cell: Cell
     reaction: StopReaction
     control: JobControl
-    listener: Listener
     found: Rehearsal
 
     def __post_init__(self) -> None:
@@ -105,7 +104,7 @@ class _Driver:
             self.mover.confirm_first(self._targets(stops[0]), confirm)
         for number, stop in enumerate(stops):
             hold_while_paused(self.cell, self.control, self.reaction)
-            self.listener(Progress("rehearse", number, len(stops), f"stop {stop + 1}"))
+            self.control.tell("rehearse", number, len(stops), f"stop {stop + 1}")
             self.mover.stop = stop
             try:
                 self._to_stop(stop)
@@ -115,7 +114,7 @@ class _Driver:
             finally:
                 self.mover.stop = None
         self.mover.go_home(self.arms)
-        self.listener(Progress("rehearse", len(stops), len(stops), "done"))
+        self.control.tell("rehearse", len(stops), len(stops), "done")
 
     def _to_stop(self, stop: int) -> None:
         """Move as collecting does; if only some arms of the cell move, go straight or from home."""

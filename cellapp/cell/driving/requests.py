@@ -2,7 +2,7 @@
 
 Receive a person's requests to the job in a run's folder from other processes of this computer: the job's side.
 
-The job listens on a loopback port, which ``ground.asking`` publishes.
+The job listens on a loopback port, which ``ground.job_client`` publishes.
 
 Run a job in a run's folder: other processes can reach it, and the run records how each arm's halt ended.
 """
@@ -24,7 +24,9 @@ from typing import IO, NamedTuple
 
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.run_arms import note_halt
-from cellapp.ground.asking import (
+from cellapp.ground.control import JobControl
+from cellapp.ground.errors import InputError
+from cellapp.ground.job_client import (
     DONE,
     JOB_FILE,
     LONGEST_LINE,
@@ -39,9 +41,7 @@ from cellapp.ground.asking import (
     taken,
     this_computer,
 )
-from cellapp.ground.control import JobControl
-from cellapp.ground.errors import InputError
-from cellapp.ground.progress import Listener, Progress, StateChange, ignore
+from cellapp.ground.progress import Listener, Progress, StateChange
 from cellapp.ground.shell import shell_word
 
 _LOCK_AGAIN_S, _LOCK_TRIES = 0.001, 50
@@ -59,13 +59,10 @@ class Answer(NamedTuple):
 
 
 @contextlib.contextmanager
-def taking_requests(
-    folder: Path, control: JobControl, name: str = "job", listener: Listener = ignore
-) -> Iterator[Listener]:
+def taking_requests(folder: Path, control: JobControl, name: str = "job") -> Iterator[None]:
     """Let other processes send requests to this job, which runs in ``folder``, while the context is open.
 
-    ``name`` is what the job does, as one word. Yield the listener to report to: it passes events to ``listener``, and
-    keeps of them what other processes may ask for.
+    ``name`` is what the job does, as one word. What other processes may ask for is kept of its events.
 
     Raises
     ------
@@ -78,7 +75,7 @@ def taking_requests(
     token = secrets.token_urlsafe(32)
     with _Server(control, token, name) as server, contextlib.ExitStack() as stack:
 
-        def listen(event: Progress) -> None:
+        def hear(event: Progress, listener: Listener) -> None:
             listener(event)
             server.note(event)
 
@@ -89,7 +86,8 @@ def taking_requests(
         stack.enter_context(
             _published(folder / JOB_FILE, JobAddress(this_computer(), os.getpid(), server.server_address[1], token))
         )
-        yield listen
+        stack.enter_context(control.heard_by(hear))
+        yield
 
 
 def _refuse_second(folder: Path) -> None:
@@ -102,10 +100,10 @@ def _refuse_second(folder: Path) -> None:
         )
     if address is not None and exchange(folder, address, LOOK, PATIENCE_S) is not None:
         raise _another(folder)
-    with contextlib.suppress(FileNotFoundError), path.open("rb") as left:
-        if not _locked(left):
+    with contextlib.suppress(FileNotFoundError), path.open("rb") as file:
+        if not _locked(file):
             raise _another(folder)
-        _remove(path, left)
+        _remove(path, file)
 
 
 def _another(folder: Path) -> InputError:
@@ -242,12 +240,11 @@ def _remove(path: Path, file: IO[bytes]) -> None:
 
 
 @contextlib.contextmanager
-def running_job(run: RunFile, control: JobControl, name: str, listener: Listener = ignore) -> Iterator[Listener]:
+def running_job(run: RunFile, control: JobControl, name: str) -> Iterator[None]:
     """While the context is open, take requests of other processes and record arms that were not seen at rest.
 
-    Yield the listener to report to. Raise as ``taking_requests``.
+    Raise as ``taking_requests``.
     """
     control.run = run.folder.resolve().name
-    recording = control.recording(partial(note_halt, run))
-    with recording, taking_requests(run.folder, control, name, listener) as heard:
-        yield heard
+    with control.recording(partial(note_halt, run)), taking_requests(run.folder, control, name):
+        yield

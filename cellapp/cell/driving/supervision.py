@@ -56,7 +56,7 @@ def attended_cell(
 
 @contextmanager
 def reacting(cell: Cell, control: JobControl) -> Iterator[StopReaction]:
-    """While this context is open, let doubts of all arms and a person's stop brake all arms.
+    """While this context is open, let faults of all arms and a person's stop brake all arms.
 
     Meanwhile ``control.live`` returns the state of the cell, whatever the job is doing.
 
@@ -65,14 +65,14 @@ def reacting(cell: Cell, control: JobControl) -> Iterator[StopReaction]:
     Raises
     ------
     HardwareError
-        If a doubt about a device stopped the cell; the message states the cause and the arms not seen at rest.
+        If a fault of a device stopped the cell; the message states the cause and the arms not seen at rest.
     Stopped, Aborted
         If a person stopped or aborted the job.
     """
     reaction = StopReaction(cell.arms, cell.tracker, cell.together, control.note_halt)
     brakes = control.brakes(lambda verb: reaction.trigger(_personal(verb, control)))
     with control.watching(lambda: _live(cell, reaction)), brakes:
-        _settle_earlier_doubts(cell, control)
+        _settle_earlier_faults(cell, control)
         try:
             yield reaction
         except BaseException as error:
@@ -84,7 +84,7 @@ def reacting(cell: Cell, control: JobControl) -> Iterator[StopReaction]:
             raise end from error
 
 
-def _settle_earlier_doubts(cell: Cell, control: JobControl) -> None:
+def _settle_earlier_faults(cell: Cell, control: JobControl) -> None:
     """Record which arms that an earlier job did not see at rest are at rest now."""
     for name, arm in cell.arms.items():
         live = arm.live()
@@ -124,7 +124,7 @@ def _personal(verb: str, control: JobControl) -> StopCause:
     """Return the stop cause of a person, who makes a request or leaves."""
     if verb == "abort":
         return StopCause("abort", _BY_PERSON[verb])
-    return StopCause("stop", control.left or _BY_PERSON["stop"])
+    return StopCause("stop", control.departure or _BY_PERSON["stop"])
 
 
 def _watch_out(unseen: dict[str, str]) -> list[str]:
@@ -259,7 +259,7 @@ class CellSupervisor:
         return True
 
     def _hold_for_person(self, reason: str, shown: Sequence[StopCause]) -> None:
-        """Wait until the hold request is withdrawn and every arm is ready; only then release the latch.
+        """Wait until the hold request is withdrawn and every arm is ready; only then release the stop latch.
 
         ``shown`` are the causes recorded so far. A cause that comes meanwhile is shown and needs another ``resume``.
         """
@@ -276,7 +276,7 @@ class CellSupervisor:
                     return
                 causes = self.reaction.causes
                 reason = causes[-1].text
-                for cause in causes[len(shown) :]:  # includes a person's stop that a doubt followed
+                for cause in causes[len(shown) :]:  # includes a person's stop that a fault followed
                     self.record(cause.kind, cause.text)
             except HardwareError as error:
                 reason, causes = str(error), self.reaction.causes

@@ -222,18 +222,18 @@ class Beam:
             self._reaction.trigger(StopCause("tracker", str(error)))
             return
         for arm in self._moving:
-            with suppress(ArmError):  # the arm's own doubt stops the cell
+            with suppress(ArmError):  # the arm's own fault stops the cell
                 arm.end_path()
 
 
 def find_again(cell: Cell, mover: Mover, control: JobControl, name: str) -> None:
     """Measure the SMR of an arm at rest where its beam broke, with retries. Raise ``TrackerError``, ``Cancelled``."""
-    for left in range(_TRIES, 0, -1):
+    for remaining in range(_TRIES, 0, -1):
         try:
             mover.measure(name, mover.positions()[name])
             return
         except (TargetLost, WrongTarget):
-            if left == 1:
+            if remaining == 1:
                 raise
         cell.clock.wait(_PAUSE_S, control.wait)
         control.check()
@@ -450,8 +450,8 @@ def _rest_of(sweep: Sweep, from_s: float, period_s: float) -> tuple[Array, Array
     steps = max(round(_STARTS_S / period_s), 1)
     rate: Array = 0.5 * (1.0 - np.cos(np.pi * np.arange(1, steps + 1) / steps))
     ramp = from_s * scale + period_s * np.concatenate([[0.0], np.cumsum(rate)])
-    left = max(int(np.ceil((exact.period_s - ramp[-1]) / period_s)), 0)
-    s_s = np.minimum(np.concatenate([ramp, ramp[-1] + period_s * np.arange(1, left + 1)]), exact.period_s)
+    remaining = max(int(np.ceil((exact.period_s - ramp[-1]) / period_s)), 0)
+    s_s = np.minimum(np.concatenate([ramp, ramp[-1] + period_s * np.arange(1, remaining + 1)]), exact.period_s)
     return exact.at(s_s), s_s / scale
 
 
@@ -461,7 +461,7 @@ CYCLE_S = 0.008
 Say = Callable[[str], None]
 
 
-def sweeps_left(run: RunFile) -> dict[int, list[PlannedSweep]]:
+def due_sweeps(run: RunFile) -> dict[int, list[PlannedSweep]]:
     """Return the planned sweeps that are not completely recorded yet, by stop."""
     done = {(state.arm, state.part_of or state.name) for state in recording_states(run) if state.reached_s is None}
     return grouped((sweep.stop, sweep) for sweep in read_sweeps(run) if (sweep.arm, sweep.name) not in done)
@@ -477,7 +477,7 @@ class Sweeps:
         self._run, self._driver, self._note = run, driver, note
         self._tell: Callable[[SweepLive], None] = lambda live: tell(live, sweep_sentence(live))
         self._session = f"sweeps-{session}"
-        self._waiting = sweeps_left(run)
+        self._waiting = due_sweeps(run)
         if self._waiting and driver.cell.record_sweep is None:
             why = why_no_sweeps(driver.cell, driver.interval_s)
             if why:

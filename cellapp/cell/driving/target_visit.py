@@ -31,7 +31,7 @@ from cellapp.cell.driving.verification import (
     rms_error_m,
     summary_of,
 )
-from cellapp.cell.planning.planned_stops import time_notice, visits_s
+from cellapp.cell.planning.planned_stops import tell_time, visits_s
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.targets.invert import invert_model, with_approach
 from cellapp.cell.targets.prediction import Command
@@ -43,7 +43,6 @@ from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError
 from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import Listener, Progress, ignore
 from cellapp.robot.effects import EFFECTS, InputVariable
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel, CellModel
@@ -345,7 +344,7 @@ _FARTHEST_RAD = 0.1
 _POSE = 6
 """Degrees of freedom of a pose: an arm with fewer joints cannot keep its rotation while its position changes."""
 REPEATS = 3
-"""New measurements of a target before a correction and after one. The measurement that raised the doubt does not count:
+"""New measurements of a target before a correction and after one. The measurement that raised the fault does not count:
 it was selected because it was large."""
 _NOISE_95 = 7.815
 """95 % quantile of chi-squared with three degrees of freedom; a target above it is measured again."""
@@ -479,7 +478,6 @@ def push(
     profile: Profile,
     model: CellModel,
     commands: Sequence[Command],
-    listener: Listener = ignore,
     control: JobControl | None = None,
     *,
     verify: bool,
@@ -527,23 +525,21 @@ def push(
         )
         if verify:
             sent = [{one.arm: q} for one in commands for q in (one.q_nominal, one.q_compensated) if q is not None]
-            listener(time_notice("push", profile, visits_s(profile, sent), 0, total))
-        stopped = _visit_all(visit, judge or Judge(profile), commands, visited, listener)
+            tell_time(control, "push", profile, visits_s(profile, sent), 0, total)
+        stopped = _visit_all(visit, judge or Judge(profile), commands, visited)
         moving.mover.go_home()
-    listener(Progress("push", total, total, "done"))
+    control.tell("push", total, total, "done")
     return visited.result(stopped)
 
 
-def _visit_all(
-    visit: TargetVisit, judge: Judge, commands: Sequence[Command], visited: Visited, listener: Listener
-) -> str:
+def _visit_all(visit: TargetVisit, judge: Judge, commands: Sequence[Command], visited: Visited) -> str:
     """Visit all targets in order; return why the rest was left out if measurements contradict the model, else empty."""
     by_target = grouped((command.target.name, command) for command in commands)
     agreement, total = Agreement(), len(by_target)
     for done, (name, own) in enumerate(by_target.items()):
         visit.hold()
         visit.driver.mover.slow_start(done)
-        listener(Progress("push", done, total, name))
+        visit.control.tell("push", done, total, name)
         found = visit.to(own)
         visited.add(found, judge, verify=visit.verify)
         agreement.add(found.contradictions())

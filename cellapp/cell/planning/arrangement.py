@@ -16,7 +16,7 @@ from cellapp.cell.planning.transit_paths import Order, TourTask, best_order
 from cellapp.cell.safety.bodies import place
 from cellapp.cell.safety.gate import CellBodies, clear_alone, clear_pairs, with_margin_for_ways
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken
+from cellapp.ground.progress import JobToken
 from cellapp.robot.kinematics.transforms import Array
 
 # -- The chosen stops of each arm before they are paired: postures, times between stops, pairs that are compatible ----
@@ -95,8 +95,8 @@ class StopSet:
         looked_at = seconds < self.usual_step_s  # an order hardly has longer ones
         free = np.ones(len(way), dtype=bool)
         for part in _PARTS_OF_WAY:
-            left = np.flatnonzero(free & looked_at)
-            free[left] = clear_alone(cell, place(cell.arms[name], q[i[left]] + part * way[left]))
+            remaining = np.flatnonzero(free & looked_at)
+            free[remaining] = clear_alone(cell, place(cell.arms[name], q[i[remaining]] + part * way[remaining]))
         times: Array = np.zeros((m, m))
         times[i, k] = times[k, i] = seconds + np.where(free, 0.0, self.usual_step_s)
         return times
@@ -177,7 +177,7 @@ def block_count(asked: int | None, stops: int) -> int:
     return max(1, min(max(_LEAST_BLOCKS, round(stops / _STOPS_PER_BLOCK)), stops // _LEAST_STOPS))
 
 
-def arrange(stops: StopSet, blocks: int, repeats: int, rng: np.random.Generator, cancel: CancelToken) -> Arrangement:
+def arrange(stops: StopSet, blocks: int, repeats: int, rng: np.random.Generator, job: JobToken) -> Arrangement:
     """Pair and order the stops; ``repeats`` of them are visited twice."""
     n = stops.size
     sizes = np.full(blocks, n // blocks)
@@ -185,7 +185,7 @@ def arrange(stops: StopSet, blocks: int, repeats: int, rng: np.random.Generator,
     members = np.stack([_members(fair_blocks(one.values, sizes, rng), sizes) for one in stops.postures])
     time_s = np.zeros((*members.shape, members.shape[2]))
     for block, size in enumerate(sizes.tolist()):
-        cancel.check()
+        job.check()
         for arm, of_arm in enumerate(members):
             time_s[arm, block, :size, :size] = stops.arm_times_s(arm, of_arm[block, :size])
     task = TourTask(
@@ -196,7 +196,7 @@ def arrange(stops: StopSet, blocks: int, repeats: int, rng: np.random.Generator,
         _PAIR_GOAL,
         _PAIR_WEIGHT * n * stops.usual_step_s,
     )
-    order = best_order(task, max(_LEAST_STEPS, _STEPS_PER_STOP * n), rng, cancel)
+    order = best_order(task, max(_LEAST_STEPS, _STEPS_PER_STOP * n), rng, job)
     ways = [
         np.stack([members[arm, block, order[arm, block, :size]] for arm in range(len(members))])
         for block, size in enumerate(sizes.tolist())

@@ -27,7 +27,7 @@ _CONSTANT = 1e-6
 """A column whose standard deviation is below this share of the largest one's counts as constant."""
 _POWER = 6
 """Power of the correlations in the sum that is minimised: high enough that the largest ones dominate."""
-_BLOCK_DRAWS = 50
+_BLOCK_SAMPLES = 50
 """Number of random assignments of blocks, of which the best balanced is taken."""
 _CANDIDATES = 32
 """Number of level changes whose effect is computed exactly: those with the largest gain to first order."""
@@ -104,7 +104,7 @@ def fair_blocks(features: Array, sizes: NDArray[np.intp], rng: np.random.Generat
     count, longer = len(sizes), np.flatnonzero(sizes > sizes.min())
     groups = _similar(features, count)
     best, least = np.zeros(len(features), dtype=np.intp), np.inf
-    for _ in range(_BLOCK_DRAWS if count > 1 else 0):
+    for _ in range(_BLOCK_SAMPLES if count > 1 else 0):
         block = np.empty(len(features), dtype=np.intp)
         for rows in groups:  # an incomplete group goes to the blocks that have one stop more
             block[rows] = rng.permutation(count if len(rows) == count else longer)
@@ -269,12 +269,12 @@ class FactorPlan:
         own, q = (np.concatenate([rows[stop] for rows in of_arm.values()]) for of_arm in (step, self._q))
         low, high = np.concatenate([self._limits[name] for name in self._q]).T
         shape = _OTHER_STEPS, len(own)
-        drawn = _inside(q, self._rng.choice(np.concatenate([-self._sizes, self._sizes]), shape), low, high)
+        sampled = _inside(q, self._rng.choice(np.concatenate([-self._sizes, self._sizes]), shape), low, high)
         present = np.concatenate(list(step.values()), axis=1)
         scale = np.maximum(np.sqrt(np.mean(present**2, axis=0)), _SMALLEST_RAD)
         correlation = self._against.T @ (present / scale) / len(present)
-        change = self._against[stop][:, None] * ((drawn - own) / scale)[:, None, :] / len(present)
-        ranked = drawn[np.argsort(np.sum(_sixth_power(correlation + change), axis=(1, 2)), kind="stable")]
+        change = self._against[stop][:, None] * ((sampled - own) / scale)[:, None, :] / len(present)
+        ranked = sampled[np.argsort(np.sum(_sixth_power(correlation + change), axis=(1, 2)), kind="stable")]
         ends = np.cumsum([rows.shape[1] for rows in self._q.values()])[:-1]
         return dict(zip(self._q, np.split(ranked, ends, axis=1), strict=True))
 

@@ -34,7 +34,7 @@ from cellapp.cell.safety.gate import BEAM_RADIUS, CellBodies, clear_alone
 from cellapp.cell.safety.shapes import ObstacleBody, beam_gaps
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken
+from cellapp.ground.progress import UNATTENDED, JobToken
 from cellapp.robot.kinematics.chain import flange_poses
 from cellapp.robot.kinematics.transforms import Array
 
@@ -48,8 +48,8 @@ INDEPENDENT = 4000, 1
 COMBINED = 64, 16
 """The same where the first joints of each draw of a group are combined with the other joints of each, so that the
 trigonometry is done once for many configurations; what is computed from them fits in the cache."""
-_MOST_DRAWS = 800_000
-_MOST_DRAWS_PER_CANDIDATE = 400
+_MOST_SAMPLES = 800_000
+_MOST_SAMPLES_PER_CANDIDATE = 400
 """Draws after which the search ends: four times the number that a candidate takes in the twin cell, some seconds."""
 
 
@@ -63,7 +63,7 @@ class CandidatePool:
         Joint positions [rad].
     incidence : array, shape (m,)
         Angle between beam and viewing direction of the SMR [rad].
-    drawn : int
+    sampled : int
         Configurations drawn to find them.
     rejected : mapping
         Constraint -> how many of those drawn it excluded. A configuration counts for the first that excludes it, in
@@ -72,17 +72,12 @@ class CandidatePool:
 
     q: Array
     incidence: Array
-    drawn: int
+    sampled: int
     rejected: Mapping[str, int]
 
 
-def draw_pool(
-    cell: CellBodies,
-    profile: Profile,
-    name: str,
-    count: int,
-    rng: np.random.Generator,
-    cancel: CancelToken | None = None,
+def sample_pool(
+    cell: CellBodies, profile: Profile, name: str, count: int, rng: np.random.Generator, job: JobToken = UNATTENDED
 ) -> CandidatePool:
     """Draw ``count`` candidates of an arm in random order, fewer where they are rare.
 
@@ -100,19 +95,19 @@ def draw_pool(
         lucky = rng.random(len(incidence)) < _OBLIQUE_SHARE
         return np.asarray(lucky | (incidence <= profile.plan.incidence))
 
-    cancel, found, number, drawn = cancel or CancelToken(), list[CandidatePool](), 0, 0
+    found, number, sampled = list[CandidatePool](), 0, 0
     low, high = joint_ranges(cell, profile, name).T
-    most = max(_MOST_DRAWS, count * _MOST_DRAWS_PER_CANDIDATE)
-    while number < count and drawn < most:
-        cancel.check()
-        found.append(_usable(cell, name, _draws(low, high, COMBINED, rng), keep))
-        number, drawn = number + len(found[-1].q), drawn + found[-1].drawn
+    most = max(_MOST_SAMPLES, count * _MOST_SAMPLES_PER_CANDIDATE)
+    while number < count and sampled < most:
+        job.check()
+        found.append(_usable(cell, name, _samples(low, high, COMBINED, rng), keep))
+        number, sampled = number + len(found[-1].q), sampled + found[-1].sampled
     if number < min(count, profile.plan.stops + profile.plan.reserve):
-        raise InputError(shortage(cell, profile, name, number, drawn))
+        raise InputError(shortage(cell, profile, name, number, sampled))
     order = rng.permutation(number)[:count]
     q, incidence = (np.concatenate([getattr(one, part) for one in found])[order] for part in ("q", "incidence"))
     rejected = {constraint: sum(one.rejected[constraint] for one in found) for constraint in found[0].rejected}
-    return CandidatePool(q, incidence, drawn, rejected)
+    return CandidatePool(q, incidence, sampled, rejected)
 
 
 def random_configurations(
@@ -129,14 +124,14 @@ def random_configurations(
     low, high = joint_ranges(cell, profile, name).T
     fruitless = 0
     while True:
-        usable = _usable(cell, name, _draws(low, high, groups, rng))
+        usable = _usable(cell, name, _samples(low, high, groups, rng))
         yield from usable.q[::-1]  # this order belongs to the seed: a profile gives the same plan each time
-        fruitless = 0 if len(usable.q) else fruitless + usable.drawn
-        if fruitless >= _MOST_DRAWS:
+        fruitless = 0 if len(usable.q) else fruitless + usable.sampled
+        if fruitless >= _MOST_SAMPLES:
             raise InputError(shortage(cell, profile, name, 0, fruitless))
 
 
-def _draws(low: Array, high: Array, groups: tuple[int, int], rng: np.random.Generator) -> Array:
+def _samples(low: Array, high: Array, groups: tuple[int, int], rng: np.random.Generator) -> Array:
     """Draw ``groups`` (b, g, N) [rad] uniformly between ``low`` and ``high`` (N,); g is 1 where half of them rest."""
     moves = np.split(high > low, [_first_joints(len(low))])
     b, g = groups if all(half.any() for half in moves) else (math.prod(groups), 1)
@@ -211,9 +206,9 @@ def _usable(
 
     Most face away from the tracker: that is found first, without bodies. The constraints are those of the safety gate.
     """
-    arm, field, drawn = cell.arms[name], _field(cell, name), groups.shape[0] * groups.shape[1] ** 2
+    arm, field, sampled = cell.arms[name], _field(cell, name), groups.shape[0] * groups.shape[1] ** 2
     q = _facing(arm, field.T_C_M, groups)
-    rows, rejected = np.arange(len(q)), {FACING: drawn - len(q)}
+    rows, rejected = np.arange(len(q)), {FACING: sampled - len(q)}
 
     def only(constraint: str, holds: NDArray[np.bool_]) -> NDArray[np.intp]:
         rejected[constraint] = rejected.get(constraint, 0) + len(rows) - int(np.count_nonzero(holds))
@@ -229,7 +224,7 @@ def _usable(
     for constraint, margin in body_margins(cell, field, name).items():
         clear = margin(placed) > 0.0  # not for NaN
         rows, placed = only(constraint, clear), placed.take(clear)
-    return CandidatePool(q[rows], sight.incidence[rows], drawn, rejected)
+    return CandidatePool(q[rows], sight.incidence[rows], sampled, rejected)
 
 
 def _field(cell: CellBodies, name: str) -> TrackerField:
@@ -302,7 +297,7 @@ _ADVICE: Mapping[str, str] = {
 }
 
 
-def shortage(cell: CellBodies, profile: Profile, name: str, found: int, drawn: int) -> str:
+def shortage(cell: CellBodies, profile: Profile, name: str, found: int, sampled: int) -> str:
     """Compose one message: how few configurations of an arm are usable, which constraint excludes most, what helps."""
     asked = f", {profile.plan.stops + profile.plan.reserve} are needed" if found else ""
     first, second = exclusions(cell, profile, name)[:2]
@@ -312,7 +307,7 @@ def shortage(cell: CellBodies, profile: Profile, name: str, found: int, drawn: i
     else:
         besides = f"No other constraint decides alone; next, {next_one} excludes {_percent(second.alone)}."
     return (
-        f"plan: arm {name}: {found or 'none'} of {drawn} random configurations can be measured{asked}. Most are"
+        f"plan: arm {name}: {found or 'none'} of {sampled} random configurations can be measured{asked}. Most are"
         f" excluded by {subject} ({_percent(first.alone)}): {first.extent}. {besides} What helps: {first.advice}"
     )
 
@@ -364,12 +359,12 @@ def _sight_examined(field: TrackerField, sight: Sight, acceptance: float) -> lis
     """Examine the conditions on the SMRs, and by how much they are missed in mm or deg."""
     low, high = field.distance
     lowest, highest = field.elevation
-    past_left = np.mod(sight.azimuth - field.azimuth[0], _TURN)
+    past_side = np.mod(sight.azimuth - field.azimuth[0], _TURN)
     width = field.azimuth[1] - field.azimuth[0]
     elevation = np.arcsin(np.clip(sight.sine_of_elevation, -1.0, 1.0))
     missed = {
         RANGE: (1e3 * np.maximum(low - sight.distance, sight.distance - high), "mm"),
-        AZIMUTH: (np.degrees(np.minimum(past_left - width, _TURN - past_left)), "deg"),
+        AZIMUTH: (np.degrees(np.minimum(past_side - width, _TURN - past_side)), "deg"),
         ELEVATION: (np.degrees(np.maximum(lowest - elevation, elevation - highest)), "deg"),
         FACING: (np.degrees(sight.incidence - usable_acceptance(acceptance)), "deg"),
     }

@@ -1,8 +1,8 @@
 """Hypotheses for further stops to decide between: one effect or another, or an effect or none.
 
 Each is judged by T-optimality (see ``estimation.design.information``). The true model has the effect with its fitted
-values. The rival model has geometry, the other accepted effects and, if there is a rival effect, this by any of its
-laws.
+values. The alternative model has geometry, the other accepted effects and, if there is an alternative effect, this by
+any of its laws.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ from cellapp.robot.kinematics.transforms import Array
 
 
 @dataclass(frozen=True)
-class RivalLaw:
-    """A law of the rival effect with those of its columns that may imitate the first effect."""
+class AlternativeLaw:
+    """A law of the alternative effect with those of its columns that may imitate the first effect."""
 
     law: Law
     names: tuple[str, ...]
@@ -60,7 +60,7 @@ class Hypothesis:
         Columns of the effect.
     values : array, shape (k, c)
         Values of these columns: k signals, whose mean lambda counts.
-    rivals : tuple of RivalLaw
+    alternatives : tuple of AlternativeLaw
         Laws of the other effect, each of which may stand for it.
     """
 
@@ -73,7 +73,7 @@ class Hypothesis:
     law: Law
     names: tuple[str, ...]
     values: Array
-    rivals: tuple[RivalLaw, ...] = ()
+    alternatives: tuple[AlternativeLaw, ...] = ()
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -89,11 +89,11 @@ class Hypothesis:
     @property
     def columns_a_candidate(self) -> int:
         """Number of columns that all its discriminations hold for each candidate."""
-        columns = len(self.fit.rows) + sum(len(rival.names) for rival in self.rivals)
-        return columns * max(len(self.rivals), 1)
+        columns = len(self.fit.rows) + sum(len(alternative.names) for alternative in self.alternatives)
+        return columns * max(len(self.alternatives), 1)
 
     def discriminations(self, design: CandidateDesign) -> list[TwoModels]:
-        """Set up one discrimination for each law of the rival, over candidate stops."""
+        """Set up one discrimination for each law of the alternative, over candidate stops."""
         data, fit = self.data, self.fit
         others = [term for number, term in enumerate(fit.terms) if number != self.term]
         further = [design.geometric, *(design.rows(term.slug, term.law, term.names) for term in others)]
@@ -102,9 +102,9 @@ class Hypothesis:
         signals = self.values @ own
         candidate_signals = design.by_stop(self.values @ design.rows(self.effect, self.law, self.names))
         found = []
-        for rival in self.rivals or (RivalLaw(self.law, ()),):
-            columns = data.columns(self.against, rival.law, rival.names) if rival.names else []
-            more = [design.rows(self.against, rival.law, rival.names)] if rival.names else []
+        for alternative in self.alternatives or (AlternativeLaw(self.law, ()),):
+            columns = data.columns(self.against, alternative.law, alternative.names) if alternative.names else []
+            more = [design.rows(self.against, alternative.law, alternative.names)] if alternative.names else []
             found.append(
                 TwoModels(
                     run_columns=np.concatenate([fit.rows[kept], fit.displacements(columns)]),
@@ -125,7 +125,7 @@ def _bound_precision(column: EffectColumn) -> float:
 
 def refitted_discovery(data: ArmData, discovery: ArmFound) -> tuple[ArmData, JointFit]:
     """Repeat the final fit of a discovery: the accepted terms with the weights of its search."""
-    smooth = Smoothness(0.0, 0, Excess(discovery.scatter_m))  # its scatter scales smooth priors; no free part
+    smooth = Smoothness(0.0, 0, Excess(discovery.scatter_m))  # its scatter scales smooth priors; no discrepancy term
     terms = (
         ModelTerm(one.slug, one.law, one.law_names, smooth if one.law.form.is_smooth else None, note=one.note)
         for one in discovery.terms
@@ -235,9 +235,9 @@ def _joined_conditions(
 
 
 _MOST_COLUMNS = 40
-"""Most columns of a rival's law, the best imitating ones: with hundreds of lines the rest only costs time."""
+"""Most columns of an alternative's law, the best imitating ones: with hundreds of lines the rest only costs time."""
 _MOST_LAWS = 4
-"""Upper limit of the laws of a rival, the best imitating ones: each is a discrimination of its own."""
+"""Upper limit of the laws of an alternative, the best imitating ones: each is a discrimination of its own."""
 _MOST_FAINT = 3
 """Number of effects whose visibility is to be raised where nothing is ambiguous; with more, none would gain much."""
 _VARIABLE_CONDITIONS = frozenset(
@@ -280,15 +280,15 @@ def _as_its_cause(term: ModelTerm) -> ModelTerm:
 
 
 def _hypotheses_against(
-    data: ArmData, fit: JointFit, number: int, rival: str, least: float, joined: EffectContext
+    data: ArmData, fit: JointFit, number: int, alternative: str, least: float, joined: EffectContext
 ) -> list[Hypothesis]:
     """Test a term of a fit against another effect; no hypothesis if that has no columns."""
     term = fit.terms[number]
     signal = ProjectedResidual(fit.residual_without(number).projector, fit.signal(number))
     ranked = []
-    for law in _laws(data, rival, joined):
-        columns = data.columns(rival, law)
-        moving = [k for k, column in enumerate(EFFECTS[rival].columns(joined, law)) if _moves(column)]
+    for law in _laws(data, alternative, joined):
+        columns = data.columns(alternative, law)
+        moving = [k for k, column in enumerate(EFFECTS[alternative].columns(joined, law)) if _moves(column)]
         if not moving:
             continue
         rows = fit.displacements(columns)
@@ -298,25 +298,25 @@ def _hypotheses_against(
             gains = (rows[moving] @ signal.projected) ** 2 / information
             moving = sorted(moving[k] for k in np.argsort(-gains, kind="stable")[:_MOST_COLUMNS])
         names = tuple(columns[k].name for k in moving)
-        ranked.append((signal.explained(rows[moving]), RivalLaw(law, names)))
+        ranked.append((signal.explained(rows[moving]), AlternativeLaw(law, names)))
     if not ranked:
         return []
     ranked.sort(key=lambda entry: -entry[0])
     needed = least + len(term.names) * math.log(3 * len(data))
-    rivals = tuple(one for _, one in ranked[:_MOST_LAWS])
+    alternatives = tuple(one for _, one in ranked[:_MOST_LAWS])
     values = fit.term_values(number)[None]
-    return [Hypothesis(term.slug, rival, needed, data, fit, number, term.law, term.names, values, rivals)]
+    return [Hypothesis(term.slug, alternative, needed, data, fit, number, term.law, term.names, values, alternatives)]
 
 
 def _swapped_hypotheses(
-    data: ArmData, fit: JointFit, number: int, rival: str, least: float, joined: EffectContext
+    data: ArmData, fit: JointFit, number: int, alternative: str, least: float, joined: EffectContext
 ) -> list[Hypothesis]:
-    """Swap the roles: the rival, fitted in place of a term, is true and the term's effect is the rival."""
+    """Swap the roles: the alternative, fitted in place of a term, is true and the term's effect is the alternative."""
     residual = fit.residual_without(number)
-    scores = LawScan.of(fit.candidates(data, [rival]), residual.projector).ranked(residual)
+    scores = LawScan.of(fit.candidates(data, [alternative]), residual.projector).ranked(residual)
     if not scores or not scores[0].names:
         return []
-    instead = ModelTerm(rival, scores[0].candidate.law, scores[0].names)
+    instead = ModelTerm(alternative, scores[0].candidate.law, scores[0].names)
     if len(fit.rows) + len(instead.names) >= 3 * len(data):
         return []  # too few readings to fit it
     other = fit_terms(data, with_term(fit.terms, number, instead))

@@ -255,21 +255,21 @@ def incidence(context: EffectContext) -> Array:
 def even_conditions(
     profile: Profile, name: str, q: Array, others: Mapping[str, Array], rng: np.random.Generator
 ) -> MeasurementConditions:
-    """Draw conditions as ``drawn_conditions`` does, but equally informative at all stops: only signs are drawn.
+    """Draw conditions as ``sampled_conditions`` does, but equally informative at all stops: only signs are drawn.
 
     Steps have their rms size, times their rms distance from the middle of the run. Otherwise the choice would prefer
     stops with large steps at the beginning or the end of the run, which the plan then changes.
     """
-    drawn = drawn_conditions(profile, name, q, others, rng)
+    sampled = sampled_conditions(profile, name, q, others, rng)
     half = 0.5 * _SECONDS_A_STOP * profile.plan.stops
     time_s = half * (1.0 + rng.choice((-1.0, 1.0), len(q)) / math.sqrt(3.0))
-    step = drawn.step
+    step = sampled.step
     if profile.plan.steps and step is not None:
         step = np.sign(step) * math.sqrt(float(np.mean(np.square(profile.plan.steps))))
-    return replace(drawn, step=step, time_s=time_s, order=_places(time_s))
+    return replace(sampled, step=step, time_s=time_s, order=_places(time_s))
 
 
-def drawn_conditions(
+def sampled_conditions(
     profile: Profile, name: str, q: Array, others: Mapping[str, Array], rng: np.random.Generator
 ) -> MeasurementConditions:
     """Draw independent conditions of readings at ``q`` (n, N) [rad], for factors of a plan that are not decided yet.

@@ -12,7 +12,7 @@ import numpy as np
 
 from cellapp.cell.planning.balance import correlations, travel_time
 from cellapp.cell.planning.candidates import random_configurations
-from cellapp.cell.planning.designed import DesignedStops, arm_design, design_stops, of_each_arm
+from cellapp.cell.planning.designed_plan import DesignedStops, arm_design, design_stops, of_each_arm
 from cellapp.cell.planning.information import even_conditions, information_model
 from cellapp.cell.planning.planned_stops import PlannedStops, joined_after, straight_stops, write_planned_stops
 from cellapp.cell.planning.records import ArmDesign, PlanDesignResult
@@ -22,7 +22,7 @@ from cellapp.cell.safety.gate import CellBodies, clear_stops, refuse_motion, vis
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
+from cellapp.ground.progress import UNATTENDED, JobToken
 from cellapp.robot.kinematics.transforms import Array
 
 _TRIES_PER_STOP = 60
@@ -31,7 +31,7 @@ _PROGRESS_EVERY = 10
 """Stops between two progress reports."""
 
 
-def plan_stops(profile: Profile, listener: Listener = ignore, cancel: CancelToken | None = None) -> dict[str, Array]:
+def plan_stops(profile: Profile, job: JobToken = UNATTENDED) -> dict[str, Array]:
     """Draw stops for all arms with the profile's seed, arm -> q (stops + reserve, N) [rad].
 
     Configurations are uniform in joint space, restricted to those where the tracker sees the SMR and the arm is clear
@@ -44,45 +44,39 @@ def plan_stops(profile: Profile, listener: Listener = ignore, cancel: CancelToke
         If not enough stops can be reached.
     """
     wanted = profile.plan.stops + profile.plan.reserve
-    return further_stops(profile, home_positions(profile), wanted, (), listener, cancel)
+    return further_stops(profile, home_positions(profile), wanted, (), job)
 
 
 def further_stops(
-    profile: Profile,
-    here: Mapping[str, Array],
-    wanted: int,
-    more_seed: Sequence[int] = (),
-    listener: Listener = ignore,
-    cancel: CancelToken | None = None,
+    profile: Profile, here: Mapping[str, Array], wanted: int, more_seed: Sequence[int] = (), job: JobToken = UNATTENDED
 ) -> dict[str, Array]:
     """Draw stops as ``plan_stops`` does, arm -> q (wanted, N) [rad], beginning where the arms are (arm -> (N,) [rad]).
 
     The last stop has a motion to the home positions. ``more_seed`` is added to the profile's seed, so that stops differ
     from those that exist already.
     """
-    cancel = cancel or CancelToken()
     cell = cell_bodies(profile)
     rng = np.random.default_rng([profile.seed, 0x9A7, *more_seed])
-    drawn = {name: random_configurations(cell, profile, name, rng) for name in cell.arms}
+    picks = {name: random_configurations(cell, profile, name, rng) for name in cell.arms}
     homes = home_positions(profile)
     stops: list[Mapping[str, Array]] = []
     for number in range(1, wanted + 1):
-        cancel.check()
+        job.check()
         if (number - 1) % _PROGRESS_EVERY == 0:
-            listener(Progress("plan", number - 1, wanted))
-        q, refusal = _next_stop(cell, drawn, stops[-1] if stops else here, homes if number == wanted else None)
+            job.tell("plan", number - 1, wanted)
+        q, refusal = _next_stop(cell, picks, stops[-1] if stops else here, homes if number == wanted else None)
         if q is None:
             raise InputError(
                 f"plan: stop {number} of {wanted} not found in {_TRIES_PER_STOP} tries; the last was refused:"
                 f" {refusal}. Ask for fewer stops, a smaller plan.clearance, or move bases or tracker"
             )
         stops.append(q)
-    listener(Progress("plan", wanted, wanted, "done"))
+    job.tell("plan", wanted, wanted, "done")
     return {name: np.array([stop[name] for stop in stops]) for name in cell.arms}
 
 
-def draw_stops(
-    cell: CellBodies, profile: Profile, count: int, rng: np.random.Generator, cancel: CancelToken | None = None
+def sample_stops(
+    cell: CellBodies, profile: Profile, count: int, rng: np.random.Generator, job: JobToken = UNATTENDED
 ) -> dict[str, Array]:
     """Draw stops at which all arms are clear and visible, arm -> q (count, N) [rad]; motions are not checked.
 
@@ -91,13 +85,12 @@ def draw_stops(
     InputError
         If this number of stops is not found.
     """
-    cancel = cancel or CancelToken()
-    drawn = {name: random_configurations(cell, profile, name, rng) for name in cell.arms}
+    picks = {name: random_configurations(cell, profile, name, rng) for name in cell.arms}
     found = {name: np.empty((0, arm.geometry.joints)) for name, arm in cell.arms.items()}
     for _ in range(_TRIES_PER_STOP):
-        cancel.check()
-        pairs = [{name: next(configurations) for name, configurations in drawn.items()} for _ in range(count)]
-        q = {name: np.array([pair[name] for pair in pairs]) for name in drawn}
+        job.check()
+        pairs = [{name: next(configurations) for name, configurations in picks.items()} for _ in range(count)]
+        q = {name: np.array([pair[name] for pair in pairs]) for name in picks}
         admitted = visible_stops(cell, q)
         admitted[admitted] = clear_stops(cell, {name: rows[admitted] for name, rows in q.items()})
         found = {name: np.concatenate([found[name], q[name][admitted]])[:count] for name in q}
@@ -111,12 +104,12 @@ def draw_stops(
 
 
 def _next_stop(
-    cell: CellBodies, drawn: Mapping[str, Iterator[Array]], here: Mapping[str, Array], homes: Mapping[str, Array] | None
+    cell: CellBodies, picks: Mapping[str, Iterator[Array]], here: Mapping[str, Array], homes: Mapping[str, Array] | None
 ) -> tuple[Mapping[str, Array] | None, str]:
     """Draw a stop reachable from ``here``, from which ``homes``, if given, are; None with the last refusal."""
     refusal = ""
     for _ in range(_TRIES_PER_STOP):
-        q = {name: next(configurations) for name, configurations in drawn.items()}
+        q = {name: next(configurations) for name, configurations in picks.items()}
         if not visible_stops(cell, {name: one[None] for name, one in q.items()})[0]:
             refusal = "an arm or what it carries hides the other's SMR from the tracker"
             continue
@@ -128,7 +121,7 @@ def _next_stop(
     return None, refusal
 
 
-def plan_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken | None = None) -> PlannedStops:
+def plan_run(run: RunFile, job: JobToken = UNATTENDED) -> PlannedStops:
     """Plan the stops of a run, and store them with the description of their design.
 
     Raises
@@ -137,25 +130,20 @@ def plan_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken | No
         If not enough stops can be reached.
     Cancelled
     """
-    stops, design = make_stops(run.profile, listener, cancel)
+    stops, design = make_stops(run.profile, job)
     write_planned_stops(run, stops, design=design)
     return stops
 
 
 def make_stops(
-    profile: Profile,
-    listener: Listener = ignore,
-    cancel: CancelToken | None = None,
-    *,
-    kept: PlannedStops | None = None,
-    add: int | None = None,
+    profile: Profile, job: JobToken = UNATTENDED, *, kept: PlannedStops | None = None, add: int | None = None
 ) -> tuple[PlannedStops, PlanDesignResult | None]:
     """Plan stops by ``plan.method``; return them with the description of their design, None for random ones.
 
     Parameters
     ----------
     profile : Profile
-    listener, cancel
+    job
         Progress and cancelling.
     kept : PlannedStops, optional
         Stops that are in the plan already; they stay in their order at its beginning, and their information counts.
@@ -176,9 +164,9 @@ def make_stops(
         )
     count = wanted - (0 if kept is None else len(kept)) if add is None else add
     if profile.plan.method == "random":
-        return _with_loads(profile, _random(profile, count, listener, cancel, kept), kept), None
-    designed = design_stops(profile, count, listener, cancel, kept)
-    return _with_loads(profile, designed.stops, kept), design_result(profile, designed, listener, cancel)
+        return _with_loads(profile, _random(profile, count, job, kept), kept), None
+    designed = design_stops(profile, count, job, kept)
+    return _with_loads(profile, designed.stops, kept), design_result(profile, designed, job)
 
 
 _SHOWN = 100
@@ -192,9 +180,9 @@ def require_plannable(profile: Profile) -> None:
         return
     rng = np.random.default_rng(profile.seed)
     limits = {name: np.array(arm.joint_limits) for name, arm in profile.arms.items()}
-    drawn = {name: rng.uniform(ends[:, 0], ends[:, 1], (_SHOWN, len(ends))) for name, ends in limits.items()}
-    for name, q in drawn.items():
-        others = {other: its for other, its in drawn.items() if other != name}
+    picks = {name: rng.uniform(ends[:, 0], ends[:, 1], (_SHOWN, len(ends))) for name, ends in limits.items()}
+    for name, q in picks.items():
+        others = {other: its for other, its in picks.items() if other != name}
         information_model(profile, name, q, even_conditions(profile, name, q, others, rng), potential=False)
 
 
@@ -213,20 +201,18 @@ def _with_loads(profile: Profile, stops: PlannedStops, kept: PlannedStops | None
     before = 0 if kept is None else len(kept)
     first = int(stops.load[before - 1]) if before else 0
     reserves = 0 if before else len(profile.plan.reserves(len(stops)))
-    left, n = profile.loads - first, len(stops) - before - reserves
-    _require_stops(n, left)
-    load = first + np.minimum(np.arange(len(stops) - before) * left // n, left - 1)
+    remaining, n = profile.loads - first, len(stops) - before - reserves
+    _require_stops(n, remaining)
+    load = first + np.minimum(np.arange(len(stops) - before) * remaining // n, remaining - 1)
     return replace(stops, load=np.concatenate([stops.load[:before], load]))
 
 
-def _random(
-    profile: Profile, count: int, listener: Listener, cancel: CancelToken | None, kept: PlannedStops | None
-) -> PlannedStops:
+def _random(profile: Profile, count: int, job: JobToken, kept: PlannedStops | None) -> PlannedStops:
     """Draw random stops with straight motions, and append them to those that are kept."""
     if kept is None or not len(kept):
-        return straight_stops(further_stops(profile, home_positions(profile), count, (), listener, cancel))
+        return straight_stops(further_stops(profile, home_positions(profile), count, (), job))
     here = kept.targets(len(kept) - 1)
-    return joined_after(kept, straight_stops(further_stops(profile, here, count, (len(kept),), listener, cancel)))
+    return joined_after(kept, straight_stops(further_stops(profile, here, count, (len(kept),), job)))
 
 
 # -- Description of a designed plan: what it tells against random stops, correlations of its factors, its time --------
@@ -235,9 +221,7 @@ def _random(
 _SEED = 0xDE52
 
 
-def design_result(
-    profile: Profile, designed: DesignedStops, listener: Listener = ignore, cancel: CancelToken | None = None
-) -> PlanDesignResult:
+def design_result(profile: Profile, designed: DesignedStops, job: JobToken = UNATTENDED) -> PlanDesignResult:
     """Compare the asked stops of a plan with random ones of the same number; reserves do not count.
 
     Raises ``Cancelled`` on request.
@@ -248,11 +232,11 @@ def design_result(
     asked = stops.take([stop for stop in range(len(stops)) if stop not in reserves])
 
     def compare(name: str, own_rng: np.random.Generator) -> ArmDesign:
-        return arm_design(profile, pools[name], name, asked.q, own_rng, cancel=cancel)
+        return arm_design(profile, pools[name], name, asked.q, own_rng, job=job)
 
-    listener(Progress("compare", 0, len(pools), "with random stops"))
+    job.tell("compare", 0, len(pools), "with random stops")
     arms = of_each_arm(compare, pools, rng)
-    listener(Progress("compare", len(pools), len(pools), "done"))
+    job.tell("compare", len(pools), len(pools), "done")
     return PlanDesignResult(
         arms=arms,
         correlations=correlations(profile, cell_bodies(profile), asked),

@@ -22,7 +22,7 @@ from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.safety.gate import CellBodies, refuse_motion
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Arm, Profile
-from cellapp.ground.progress import Notice, Progress, duration_words
+from cellapp.ground.progress import JobToken, Notice, duration_words
 from cellapp.ground.results import Record
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model.nominal import joint_rates
@@ -486,13 +486,13 @@ def visits_s(profile: Profile, visits: Sequence[Configuration], dwell_s: float =
     return route_s(profile, start, tuple(visits)) + measured * (dwell_s + _measuring_s(profile))
 
 
-def time_notice(
-    job: str, profile: Profile, seconds: float, done: int, total: int, how: str = "takes about"
-) -> Progress:
-    """Return the event that says before a job's first motion how long the job takes, by the plan of its motions."""
+def tell_time(
+    job: JobToken, name: str, profile: Profile, seconds: float, done: int, total: int, how: str = "takes about"
+) -> None:
+    """Say before a job's first motion how long the job takes, by the plan of its motions."""
     kind = profile.cell_kind
     clock = "" if kind == "real" else f" by the clock of {kind} arms, which may run faster than yours"
-    return Progress(job, done, total, detail=Notice(f"{how} {duration_words(seconds)}{clock}"))
+    job.tell(name, done, total, detail=Notice(f"{how} {duration_words(seconds)}{clock}"))
 
 
 def _measuring_s(profile: Profile) -> float:

@@ -19,7 +19,7 @@ from cellapp.cell.planning.hypotheses import (
     open_hypotheses,
     refitted_discovery,
 )
-from cellapp.cell.planning.plan import draw_stops
+from cellapp.cell.planning.plan import sample_stops
 from cellapp.cell.planning.planned_stops import (
     PlannedStops,
     can_go,
@@ -41,7 +41,7 @@ from cellapp.estimation.readings import Readings
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
+from cellapp.ground.progress import UNATTENDED, JobToken
 from cellapp.robot.effects import EFFECTS, InputVariable, MeasurementConditions, place_in_words, varies
 from cellapp.robot.kinematics.statics import base_moment
 from cellapp.robot.kinematics.transforms import Array
@@ -278,12 +278,12 @@ class ArmCandidates:
         """Name of the arm."""
         return self.run.name
 
-    def gains(self, stops_left: int) -> Array:
+    def gains(self, stops: int) -> Array:
         """Compute the gain (n, f) of each candidate over all hypotheses, at most 1; -inf where it is not allowed."""
         if not self.designs:
             return np.where(self.allowed, 0.0, -math.inf)
         needed = [one.needed for one, _ in self.designs]
-        gains = joint_gains([design for _, design in self.designs], needed, stops_left)
+        gains = joint_gains([design for _, design in self.designs], needed, stops)
         return np.where(self.allowed, gains.reshape(self.allowed.shape), -math.inf)
 
     def add(self, pose: int, approach: int) -> None:
@@ -318,7 +318,7 @@ class Effort:
 
     Attributes
     ----------
-    drawn : int
+    sampled : int
         Poses that are drawn: enough that ``kept`` of them are within easy reach in the twin's crowded cell.
     kept : int
         Poses that are kept of these.
@@ -326,7 +326,7 @@ class Effort:
         Upper limit of poses times approaches of one arm.
     """
 
-    drawn: int = 840
+    sampled: int = 840
     kept: int = 600
     candidates: int = 8000
 
@@ -358,7 +358,7 @@ class CandidatePoses:
 
 
 def candidate_poses(
-    profile: Profile, readings: Mapping[str, Readings], effort: Effort, rng: np.random.Generator, cancel: CancelToken
+    profile: Profile, readings: Mapping[str, Readings], effort: Effort, rng: np.random.Generator, job: JobToken
 ) -> tuple[CandidatePoses, list[str]]:
     """Draw poses in the cell that the profile describes, else take the measured configurations; and return notes.
 
@@ -371,7 +371,7 @@ def candidate_poses(
         arm.base is not None and arm.home is not None and arm.type.capsules for arm in profile.arms.values()
     )
     if described:
-        return _drawn_poses(profile, effort, rng, cancel), []
+        return _sampled_poses(profile, effort, rng, job), []
     note = (
         "candidates are configurations that were measured, as the profile does not say where arms and tracker stand;"
         " the motions to them were not checked for collisions"
@@ -379,13 +379,13 @@ def candidate_poses(
     return _measured_poses(readings, effort, rng), [note]
 
 
-def _drawn_poses(profile: Profile, effort: Effort, rng: np.random.Generator, cancel: CancelToken) -> CandidatePoses:
+def _sampled_poses(profile: Profile, effort: Effort, rng: np.random.Generator, job: JobToken) -> CandidatePoses:
     gate, homes = cell_bodies(profile), home_positions(profile)
-    drawn = draw_stops(gate, profile, effort.drawn, rng, cancel)
-    reached = np.all([ArmRoadmap(profile, gate, name, rng).reaches(q) for name, q in drawn.items()], axis=0)
+    sampled = sample_stops(gate, profile, effort.sampled, rng, job)
+    reached = np.all([ArmRoadmap(profile, gate, name, rng).reaches(q) for name, q in sampled.items()], axis=0)
     if not reached.any():
         raise InputError("propose: no candidate can be reached; make plan.clearance smaller")
-    return CandidatePoses({name: q[reached][: effort.kept] for name, q in drawn.items()}, gate, homes)
+    return CandidatePoses({name: q[reached][: effort.kept] for name, q in sampled.items()}, gate, homes)
 
 
 def _measured_poses(readings: Mapping[str, Readings], effort: Effort, rng: np.random.Generator) -> CandidatePoses:
@@ -448,7 +448,7 @@ def predict_arm(
 ) -> tuple[list[PredictedDiscrimination], list[str]]:
     """Predict the hypotheses of one arm with the chosen candidates; return also advice to change its payload."""
     chosen = pose * len(arm.approaches) + approach
-    draws = [rng.integers(0, len(poses) * len(arm.approaches), len(chosen)) for _ in range(_RANDOM_DESIGNS)]
+    samples = [rng.integers(0, len(poses) * len(arm.approaches), len(chosen)) for _ in range(_RANDOM_DESIGNS)]
     nothing = np.array([], dtype=np.intp)
     predictions, advice = [], []
     for one, comparison in arm.comparisons:
@@ -459,7 +459,7 @@ def predict_arm(
             needed=one.needed,
             now=_least(comparison, nothing),
             proposed=_least(comparison, chosen),
-            random=float(np.mean([_least(comparison, draw) for draw in draws])),
+            random=float(np.mean([_least(comparison, sample) for sample in samples])),
         )
         predictions.append(prediction)
         advice += _load_advice(arm, one, poses, pose, approach, prediction)
@@ -467,7 +467,7 @@ def predict_arm(
 
 
 def _least(comparison: Sequence[TwoModels], chosen: NDArray[np.intp]) -> float:
-    """Return the least discrimination over the laws of the rival."""
+    """Return the least discrimination over the laws of the alternative."""
     return min(one.noncentrality(chosen) for one in comparison)
 
 
@@ -549,8 +549,7 @@ def propose_stops(
     readings: Mapping[str, Readings],
     found: Mapping[str, ArmFound],
     count: int,
-    listener: Listener = ignore,
-    cancel: CancelToken | None = None,
+    job: JobToken = UNATTENDED,
     effort: Effort | None = None,
 ) -> Proposal:
     """Propose ``count`` further stops of all arms of a calibrated cell after ``found`` was discovered.
@@ -562,10 +561,10 @@ def propose_stops(
     Cancelled
         On request.
     """
-    cancel, effort = cancel or CancelToken(), effort or DEFAULT_EFFORT
+    effort = effort or DEFAULT_EFFORT
     rng = np.random.default_rng([profile.seed, _PROPOSAL_SEED, max(len(arm) for arm in readings.values())])
-    listener(Progress("propose", 0, count, "candidates"))
-    poses, notes = candidate_poses(profile, readings, effort, rng, cancel)
+    job.tell("propose", 0, count, "candidates")
+    poses, notes = candidate_poses(profile, readings, effort, rng, job)
     hypotheses = [
         ArmHypotheses.of(arm, model.arms, found[name], poses, count, effort, rng)
         for name, arm in ArmReadings.of_cell(profile, model.arms, readings).items()
@@ -576,7 +575,7 @@ def propose_stops(
     arms = [ArmCandidates.of(arm, poses) for arm in hypotheses]
     coupled = any(InputVariable.OTHER_ARM in arm.variables for arm in hypotheses)
     selection = StopSelection(arms, poses, coupled or poses.gate is None, rng)
-    chosen = selection.select(count, listener, cancel)
+    chosen = selection.select(count, job)
     if not chosen:
         raise InputError("propose: the motion check refused all candidates; reduce plan.clearance, or move the bases")
     if len(chosen) < count:
@@ -596,7 +595,7 @@ def propose_stops(
         moved = step.any(axis=1)
         stops.approach_from[arm.name][moved] = (stops.q[arm.name] - step)[moved]
         stops.dwell_s[arm.name][:] = arm.approaches.dwells[approach]
-    listener(Progress("propose", count, count, "done"))
+    job.tell("propose", count, count, "done")
     return Proposal(stops, tuple(predictions), tuple(notes), tuple(dict.fromkeys(advice)))
 
 
@@ -643,13 +642,13 @@ class StopSelection:
     rng: np.random.Generator
     refused: set[ChosenStop] = field(default_factory=set)
 
-    def select(self, count: int, listener: Listener, cancel: CancelToken) -> list[ChosenStop]:
+    def select(self, count: int, job: JobToken) -> list[ChosenStop]:
         """Choose ``count`` stops, each the best in addition to those before; fewer if the gate refuses."""
         used = [np.zeros(len(self.poses), dtype=np.intp) for _ in self.arms]
         found: list[ChosenStop] = []
         while len(found) < count:
-            cancel.check()
-            listener(Progress("propose", len(found), count, "stops"))
+            job.check()
+            job.tell("propose", len(found), count, "stops")
             stop = self._next(used, count - len(found))
             if stop is None:
                 break
@@ -663,9 +662,9 @@ class StopSelection:
         """Return the joint positions of the arms at a stop."""
         return {arm.name: self.poses.q[arm.name][pose] for arm, pose in zip(self.arms, stop.poses, strict=True)}
 
-    def _next(self, used: list[NDArray[np.intp]], stops_left: int) -> ChosenStop | None:
+    def _next(self, used: list[NDArray[np.intp]], stops: int) -> ChosenStop | None:
         """Choose the best stop whose last steps the gate accepts; None if there is none."""
-        gains = [arm.gains(stops_left) for arm in self.arms]
+        gains = [arm.gains(stops) for arm in self.arms]
         for gain, counts in zip(gains, used, strict=True):
             gain[counts >= _MOST_OFTEN] = -math.inf
         for _ in range(_REFUSALS):

@@ -19,7 +19,7 @@ from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.safety.gate import CellBodies, FreeMotions, clear_stops, refuse_motion
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken, JobSteps, Listener, Progress, ignore
+from cellapp.ground.progress import UNATTENDED, JobSteps, JobToken
 from cellapp.robot.kinematics.inverse import turned_into
 from cellapp.robot.kinematics.transforms import Array
 
@@ -41,8 +41,7 @@ def sequenced(
     cell: CellBodies,
     chosen: Mapping[str, Array],
     rng: np.random.Generator,
-    listener: Listener = ignore,
-    cancel: CancelToken | None = None,
+    job: JobToken = UNATTENDED,
     after: Mapping[str, Array] | None = None,
     finder: TransitPlanner | None = None,
 ) -> Sequenced:
@@ -58,7 +57,7 @@ def sequenced(
     chosen : mapping
         Arm -> joint positions (n, N) [rad], the most important first. Joints may be planned at whole turns from these.
     rng : numpy.random.Generator
-    listener, cancel
+    job
         Progress and cancelling.
     after : mapping, optional
         Arm -> stops (k, N) that exist already: the new ones begin at the last of them. As many stops are planned as are
@@ -77,18 +76,18 @@ def sequenced(
     begun = after is not None and len(next(iter(after.values()))) > 0
     start = {name: q[-1] for name, q in after.items()} if begun and after is not None else home
     finder = finder or TransitPlanner(profile, cell, rng)
-    job = _Job(profile, cell, home, finder, rng, listener, cancel or CancelToken(), [])
-    q = {name: _reached(profile, cell, name, rows, job.finder, job.given_up) for name, rows in chosen.items()}
+    parts = _Parts(profile, cell, home, finder, rng, job, [])
+    q = {name: _reached(profile, cell, name, rows, parts.finder, parts.given_up) for name, rows in chosen.items()}
     if not min(map(len, q.values())):
-        raise InputError(f"plan: none of the chosen stops can be reached. {' '.join(job.given_up[:1])}".strip())
+        raise InputError(f"plan: none of the chosen stops can be reached. {' '.join(parts.given_up[:1])}".strip())
     n = min(map(len, chosen.values()))
     if after is not None:
-        planned = job.all_of(q, n, 0, start)
+        planned = parts.all_of(q, n, 0, start)
     else:
         reserve = min(profile.plan.reserve, n - 1)
-        planned = job.all_of(q, min(n - reserve, profile.plan.stops), reserve, start)
-    listener(Progress(_JOB, len(planned), len(planned), "done"))
-    return Sequenced(planned, tuple(job.given_up))
+        planned = parts.all_of(q, min(n - reserve, profile.plan.stops), reserve, start)
+    job.tell(_JOB, len(planned), len(planned), "done")
+    return Sequenced(planned, tuple(parts.given_up))
 
 
 def _reached(
@@ -120,7 +119,7 @@ def nearest_turns(profile: Profile, cell: CellBodies, name: str, q: Array) -> Ar
 
 
 @dataclass(frozen=True, eq=False)
-class _Job:
+class _Parts:
     """State that the parts of a plan share."""
 
     profile: Profile
@@ -128,8 +127,7 @@ class _Job:
     home: Configuration | None
     finder: TransitPlanner
     rng: np.random.Generator
-    listener: Listener
-    cancel: CancelToken
+    job: JobToken
     given_up: list[str]
 
     def all_of(self, q: Mapping[str, Array], asked: int, reserve: int, start: Configuration | None) -> PlannedStops:
@@ -148,12 +146,12 @@ class _Job:
     def part(self, q: Mapping[str, Array], repeats: int, start: Configuration | None) -> PlannedStops:
         """Plan stops that follow ``start``; from the last one the arms can go home."""
         n = min(map(len, q.values())) + repeats
-        steps = JobSteps(lambda done, words: self.listener(Progress(_JOB, done, n, words)), self.cancel)
+        steps = JobSteps(lambda done, words: self.job.tell(_JOB, done, n, words), self.job)
         steps(0, "pairs and order")
         least = min(map(len, q.values()))
         stops = StopSet(self.profile, self.cell, {name: rows[:least] for name, rows in q.items()})
-        arrangement = arrange(stops, block_count(self.profile.plan.blocks, n), repeats, self.rng, self.cancel)
-        arrangement = repair_order(stops, arrangement, start, self.home, self.finder.gate, self.cancel)
+        arrangement = arrange(stops, block_count(self.profile.plan.blocks, n), repeats, self.rng, self.job)
+        arrangement = repair_order(stops, arrangement, start, self.home, self.finder.gate, self.job)
         at = stops.at(arrangement.rows)
         factors = FactorPlan(self.profile, self.cell, at, arrangement.block, arrangement.repeat_of, self.rng)
         legs = LegPlanner(self.cell, at, arrangement, factors, self.finder, start)
@@ -295,17 +293,17 @@ class LegPlanner:
 
     def _other_steps(self, stops: Sequence[int]) -> dict[int, list[Steps]]:
         """Draw other steps of some stops, best balanced first, whose last motions begin where the arms are clear."""
-        drawn = {stop: self._factors.other_steps(self._step, stop) for stop in stops}
-        if not drawn:
+        sampled = {stop: self._factors.other_steps(self._step, stop) for stop in stops}
+        if not sampled:
             return {}
         begins = {
-            name: np.concatenate([q[stop] - steps[name] for stop, steps in drawn.items()])
+            name: np.concatenate([q[stop] - steps[name] for stop, steps in sampled.items()])
             for name, q in self._q.items()
         }
-        free = np.split(clear_stops(self._cell, begins), len(drawn))
+        free = np.split(clear_stops(self._cell, begins), len(sampled))
         return {
             stop: [{name: rows[k] for name, rows in steps.items()} for k in np.flatnonzero(of_stop).tolist()]
-            for (stop, steps), of_stop in zip(drawn.items(), free, strict=True)
+            for (stop, steps), of_stop in zip(sampled.items(), free, strict=True)
         }
 
     def _ask(self, motions: Iterable[tuple[int, Configuration | None, Steps]]) -> None:
@@ -382,7 +380,7 @@ def repair_order(
     start: Configuration | None,
     end: Configuration | None,
     gate: FreeMotions,
-    cancel: CancelToken,
+    job: JobToken,
 ) -> Arrangement:
     """Find an order of the same pairs of stops in which the gate refuses few straight motions, or none.
 
@@ -406,7 +404,7 @@ def repair_order(
     for place in (
         min(max(one - k, 0), n - 1) for _ in range(_ROUNDS) for one in (*refused([order])[0], *ends) for k in (0, 1)
     ):
-        cancel.check()
+        job.check()
         first, last = np.flatnonzero(now.block == now.block[place])[[0, -1]].tolist()
         part = order[first : last + 3]  # only motions to, in and from the block change
         others, seconds = _moved(stops, now.rows, part, place - first + 1)

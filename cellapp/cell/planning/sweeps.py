@@ -30,11 +30,11 @@ from cellapp.estimation.motion.laws import (
     state_in_motion,
     torques_in_motion,
 )
-from cellapp.estimation.motion.steps import foreseen_terms, motion_information
+from cellapp.estimation.motion.search_state import foreseen_terms, motion_information
 from cellapp.estimation.motion.streams import JointStream
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
+from cellapp.ground.progress import UNATTENDED, JobToken
 from cellapp.ground.results import Record
 from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.kinematics.transforms import Array
@@ -109,7 +109,7 @@ _PERIODS_S = (16.0, 32.0)
 """Shortest periods of motions about successive stops [s]: both directions of each joint at two speeds."""
 _REACH_RAD = (0.15, 0.9)
 """Range of the amplitudes of single joints."""
-_DRAWS = 16
+_SAMPLES = 16
 _NARROWER = 0.75
 _NARROWEST = 0.08
 """Amplitude [rad] of the joint that moves most below which a motion is given up."""
@@ -123,7 +123,7 @@ _SEEN_S, _GATE_S = 0.1, 0.05
 """Sampling interval of a motion for the tracker's sight, and for the gate [s]."""
 _SWING_SHARE = 0.5
 """Share of that speed for an arm that swings meanwhile: the margin between two arms grows with their speed."""
-_SWING_DRAWS = 4
+_SWING_SAMPLES = 4
 
 
 class Swing(Record):
@@ -195,9 +195,7 @@ def read_planned_sweeps(run: RunFile) -> PlannedSweeps:
         raise InputError(f"{run.path} is damaged ({SWEEPS_RESULT}); restore it from a copy") from None
 
 
-def plan_sweeps(
-    profile: Profile, stops: PlannedStops, listener: Listener = ignore, cancel: CancelToken | None = None
-) -> PlannedSweeps:
+def plan_sweeps(profile: Profile, stops: PlannedStops, job: JobToken = UNATTENDED) -> PlannedSweeps:
     """Plan a sweep of each arm at each stop where the gate and the tracker allow one.
 
     Raises
@@ -206,7 +204,7 @@ def plan_sweeps(
         If no arm can sweep anywhere.
     Cancelled
     """
-    cancel, cell, found = cancel or CancelToken(), cell_bodies(profile), list[PlannedSweep]()
+    cell, found = cell_bodies(profile), list[PlannedSweep]()
     swinging = profile.plan.other_arm == "swinging"
     if swinging and len(profile.arms) != 2:
         raise InputError(f"plan.other_arm: swinging is for cells of two arms, this one has {len(profile.arms)}")
@@ -216,10 +214,10 @@ def plan_sweeps(
         known[name] = _Known(q, design, design.before(q, np.sign(step[name])))
     refused: list[str] = []
     for stop in range(len(stops)):
-        listener(Progress("sweeps", stop, len(stops), f"sweeps about stop {stop + 1}"))
+        job.tell("sweeps", stop, len(stops), f"sweeps about stop {stop + 1}")
         at = stops.targets(stop)
         for number, name in enumerate(stops.q):
-            cancel.check()
+            job.check()
             rng = np.random.default_rng([profile.seed, 0x5EEB, stop, number])
             motion = _sweep_about(profile, cell, name, at, _PERIODS_S[stop % len(_PERIODS_S)], known[name], rng)
             if motion is None:
@@ -263,8 +261,8 @@ def _swing_beside(
     tracker; None if the gate accepts none."""
     (other,) = (one for one in at if one != name)
     time_s = motion.times(_SEEN_S)
-    for _ in range(_SWING_DRAWS):
-        swing: Sweep | None = _drawn(at[other], at[other], motion.period_s, rng)
+    for _ in range(_SWING_SAMPLES):
+        swing: Sweep | None = _sampled(at[other], at[other], motion.period_s, rng)
         while swing is not None:
             in_time = _slow_enough(profile, cell, other, swing, _SWING_SHARE * _FASTEST_M_S).period_s
             if (
@@ -288,9 +286,9 @@ def _sweep_about(
 ) -> Sweep | None:
     """Find the motion about a stop that tells most per second in addition to ``known``; None if none is allowed."""
     others = {other: q for other, q in at.items() if other != name}
-    towards = known.stops[rng.integers(len(known.stops), size=_DRAWS)]
-    drawn = [_seen(cell, name, _drawn(at[name], posture, period_s, rng), others) for posture in towards]
-    seen = [_slow_enough(profile, cell, name, one) for one in drawn if one is not None]
+    towards = known.stops[rng.integers(len(known.stops), size=_SAMPLES)]
+    sampled = [_seen(cell, name, _sampled(at[name], posture, period_s, rng), others) for posture in towards]
+    seen = [_slow_enough(profile, cell, name, one) for one in sampled if one is not None]
     before = float(np.linalg.slogdet(known.information)[1])
     told = [float(np.linalg.slogdet(known.information + known.design.told(one))[1]) for one in seen]
     worth = [(its - before) / one.period_s for its, one in zip(told, seen, strict=True)]
@@ -303,7 +301,7 @@ def _sweep_about(
     return None
 
 
-def _drawn(center: Array, towards: Array, period_s: float, rng: np.random.Generator) -> Sweep:
+def _sampled(center: Array, towards: Array, period_s: float, rng: np.random.Generator) -> Sweep:
     """Draw a random motion with its own amplitude for each joint, part of it ``towards`` another posture."""
     order = np.arange(1, _HARMONICS + 1)[:, None]
     sine, cosine = (rng.normal(size=(_HARMONICS, len(center))) / order for _ in range(2))

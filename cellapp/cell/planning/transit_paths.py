@@ -32,7 +32,7 @@ from cellapp.cell.planning.planned_stops import Configuration, Route, motion_s, 
 from cellapp.cell.safety.bodies import place
 from cellapp.cell.safety.gate import CellBodies, FreeMotions, clear_alone, refuse_motion, with_margin_for_ways
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken
+from cellapp.ground.progress import JobToken
 from cellapp.robot.kinematics.transforms import Array
 
 _MOST_ASKED = 60
@@ -146,7 +146,7 @@ _NEAR_ENDS = 60
 """Number of nodes near the ends of a path that are tried as its first and its last."""
 _PLACES = (8, 4, 12, 2, 14, 6, 10, 1, 15, 3, 13, 5, 11, 7, 9)
 """Sixteenths of a motion at which an arm is checked, the most selective first."""
-_DRAWS = 40
+_SAMPLES = 40
 """Upper limit of the random configurations drawn for each node."""
 _AT_ONCE = 4000
 """Number of motions that are checked at once."""
@@ -174,8 +174,8 @@ class ArmRoadmap:
         clear = np.flatnonzero(self._clear(q))
         if self._home is not None:
             reached[clear] = self.clear_ways(np.broadcast_to(self._home, q[clear].shape), q[clear])
-        left = clear[~reached[clear]]
-        for rows in np.array_split(left, 1 + len(left) * _NEIGHBOURS // _AT_ONCE) if len(left) else ():
+        remaining = clear[~reached[clear]]
+        for rows in np.array_split(remaining, 1 + len(remaining) * _NEIGHBOURS // _AT_ONCE) if len(remaining) else ():
             near = self._nearest(q[rows])
             free = self.clear_ways(np.repeat(q[rows], near.shape[1], axis=0), self._nodes[near.ravel()])
             reached[rows] = np.any(free.reshape(near.shape) & (self._part[near] == self._main_part), axis=1)
@@ -206,9 +206,9 @@ class ArmRoadmap:
         """Return whether the arm is clear at the samples of motions from ``start`` (n, N) to ``end`` (n, N), (n,)."""
         free = np.ones(len(start), dtype=bool)
         for place_on_way in _PLACES:
-            left = np.flatnonzero(free)
+            remaining = np.flatnonzero(free)
             share = place_on_way / 16.0
-            free[left] = self._clear((1.0 - share) * start[left] + share * end[left])
+            free[remaining] = self._clear((1.0 - share) * start[remaining] + share * end[remaining])
         return free
 
     def _clear(self, q: Array) -> NDArray[np.bool_]:
@@ -221,7 +221,7 @@ class ArmRoadmap:
         centre = 0.5 * (low + high) if self._home is None else self._home
         found = [centre[None]] if self._home is not None else []
         middle = np.clip(centre, np.minimum(low + np.pi, high), np.maximum(high - np.pi, low))
-        for _ in range(_DRAWS):
+        for _ in range(_SAMPLES):
             if sum(map(len, found)) > _NODES:
                 break
             low_here, high_here = np.maximum(low, middle - np.pi), np.minimum(high, middle + np.pi)
@@ -279,7 +279,7 @@ _BEND = 0.35 * _POWER * (_POWER - 1)
 """Curvature assumed for that cost within one exchange: less than its initial value, with which exchanges that halve a
 correlation would seem to save nothing."""
 _CHECK_EVERY = 50
-"""Steps between two looks at the cancel token."""
+"""Steps between two looks whether the job is cancelled."""
 
 Order = NDArray[np.intp]
 
@@ -312,7 +312,7 @@ class TourTask:
     correlation_cost: float
 
 
-def best_order(task: TourTask, steps: int, rng: np.random.Generator, cancel: CancelToken) -> Order:
+def best_order(task: TourTask, steps: int, rng: np.random.Generator, job: JobToken) -> Order:
     """Find a fast order (K, B, m) of the stops: their indices within each block, -1 beyond its size.
 
     Parameters
@@ -321,14 +321,14 @@ def best_order(task: TourTask, steps: int, rng: np.random.Generator, cancel: Can
     steps : int
         Number of steps; each tries at most ``_TRIES_AT_ONCE`` moves.
     rng : numpy.random.Generator
-    cancel : CancelToken
+    job : JobToken
     """
     tours = _Tours(task, _near_order(task, rng))
     scale = float(np.mean(task.time_s)) or 1.0
     temperatures = np.geomspace(_HOT * scale, _COLD * scale, steps) if task.sizes.max(initial=0) > 1 else ()
     for step, temperature in enumerate(temperatures):
         if step % _CHECK_EVERY == 0:
-            cancel.check()
+            job.check()
         tours.step(float(temperature), rng)
     return tours.inner
 
@@ -473,12 +473,12 @@ class _Tours:
             other = self._place[arm].ravel().take(near + self._first * (self._m + 1))
         high = np.maximum(position, other)
         low = np.minimum(np.minimum(position, other) + 1, high)
-        draw = rng.random()
-        if draw < 0.4:
+        sample = rng.random()
+        if sample < 0.4:
             return Move("exchange", low, high, arm=arm if arms > 1 else None)
-        if draw < 0.5:
+        if sample < 0.5:
             return Move("exchange", low, high)
-        if draw < 0.75:
+        if sample < 0.75:
             return Move("reverse", low, high)
         return Move("shift", low, high, np.minimum(int(rng.integers(1, _LONGEST_SHIFT + 1)), high - low))
 

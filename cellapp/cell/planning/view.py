@@ -43,7 +43,7 @@ from cellapp.estimation.calibration.parameters import EXPECTED_SCATTER_M
 from cellapp.estimation.discovery.plan_forecast import PlannedReadings, arm_designs, planned_accuracy, planned_effects
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken, Listener, Progress, ignore, with_eta
+from cellapp.ground.progress import UNATTENDED, JobToken
 from cellapp.ground.threads import one_blas_thread
 from cellapp.robot.kinematics.transforms import Array
 
@@ -51,7 +51,7 @@ _PROGRESS_EVERY = 10
 """Stops between two progress reports."""
 
 
-def check_plan_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken | None = None) -> PlanCheckResult:
+def check_plan_run(run: RunFile, job: JobToken = UNATTENDED) -> PlanCheckResult:
     """Check the plan of a run; nothing is written.
 
     Raises
@@ -62,13 +62,11 @@ def check_plan_run(run: RunFile, listener: Listener = ignore, cancel: CancelToke
     """
     required_plan(run)
     stops = read_planned_stops(run)
-    refused = check_stops(run.profile, stops, listener, cancel)
+    refused = check_stops(run.profile, stops, job)
     return PlanCheckResult(run=str(run.folder), stops=len(stops), ways=len(stops) + 1, refused=refused)
 
 
-def check_stops(
-    profile: Profile, stops: PlannedStops, listener: Listener = ignore, cancel: CancelToken | None = None
-) -> tuple[PlanRefusal, ...]:
+def check_stops(profile: Profile, stops: PlannedStops, job: JobToken = UNATTENDED) -> tuple[PlanRefusal, ...]:
     """List what the gate or the tracker's view refuses of a plan, from home through all stops and home again.
 
     Raises
@@ -77,14 +75,13 @@ def check_stops(
         If the profile does not describe the cell.
     Cancelled
     """
-    cancel, listener = cancel or CancelToken(), with_eta(listener)
     cell, homes, count = cell_bodies(profile), home_positions(profile), len(stops)
     refused: list[PlanRefusal] = []
     here: Configuration = homes
     for k in range(count):
-        cancel.check()
+        job.check()
         if k % _PROGRESS_EVERY == 0:
-            listener(Progress("check", k, count))
+            job.tell("check", k, count)
         there = stops.targets(k)
         refused += _stop_refusals(cell, k, there)
         refused += _way_refusals(cell, stops, k, here, homes)
@@ -93,7 +90,7 @@ def check_stops(
     if reason:
         via_home = any(not refused_route(cell, here, route) for route in orders(homes))
         refused.append(PlanRefusal(configuration=None, before=count - 1, what="way", reason=reason, via_home=via_home))
-    listener(Progress("check", count, count, "done"))
+    job.tell("check", count, count, "done")
     return tuple(refused)
 
 
@@ -175,7 +172,7 @@ def joint_coverage(ranges: Array, q: Array) -> tuple[JointCoverage, ...]:
 # -- Forecast of a run's plan before it is measured: time, covered joint ranges, accuracy, visible effects ------------
 
 
-def forecast_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken | None = None) -> PlanForecastResult:
+def forecast_run(run: RunFile, job: JobToken = UNATTENDED) -> PlanForecastResult:
     """Forecast what the plan of a run will give; nothing is written.
 
     Raises
@@ -184,7 +181,6 @@ def forecast_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken 
         If the run has no plan, or the profile does not describe the cell.
     Cancelled
     """
-    cancel = cancel or CancelToken()
     required_plan(run)
     profile, plan = run.profile, read_planned_stops(run)
     reserves = profile.plan.reserves(len(plan))
@@ -199,8 +195,8 @@ def forecast_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken 
     arms: dict[str, ArmForecast] = {}
     notes: list[str] = []
     for number, (name, design) in enumerate(designs.items()):
-        cancel.check()
-        listener(Progress("forecast", number, len(designs), f"arm {name}"))
+        job.check()
+        job.tell("forecast", number, len(designs), f"arm {name}")
         try:
             with one_blas_thread():  # the matrices are small
                 effects = planned_effects(design)
@@ -216,7 +212,7 @@ def forecast_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken 
             accuracy=tuple(planned_accuracy(design, scatter) for scatter in (0.0, EXPECTED_SCATTER_M)),
             effects=effects,
         )
-    listener(Progress("forecast", len(designs), len(designs), "done"))
+    job.tell("forecast", len(designs), len(designs), "done")
     return PlanForecastResult(
         run=str(run.folder), time=planned_time(profile, visited), arms=arms, notes=(*notes, *_notes(profile, first))
     )

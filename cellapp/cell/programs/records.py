@@ -73,7 +73,7 @@ class ProgramTarget:
 
 
 @dataclass(frozen=True)
-class LeftMotion:
+class UnchangedMotion:
     """Motion that is not changed. ``refused``: it has a target that cannot be corrected."""
 
     line: int
@@ -101,7 +101,7 @@ class ReadProgram:
 
     text: str
     targets: tuple[ProgramTarget, ...]
-    left: tuple[LeftMotion, ...]
+    left: tuple[UnchangedMotion, ...]
     payload_kg: float | None
     encode: Callable[[str], bytes]
     notes: tuple[str, ...] = ()
@@ -164,7 +164,7 @@ class CorrectResult(Result, schema="cellapp-correct"):
     out: str | None
     arm: str
     targets: tuple[CorrectedTarget, ...]
-    left: tuple[LeftMotion, ...]
+    left: tuple[UnchangedMotion, ...]
     assumptions: tuple[str, ...]
     notes: tuple[str, ...] = ()
     common: tuple[CommonUncertainty, ...] = ()

@@ -27,7 +27,7 @@ import numpy as np
 
 from cellapp.cell.profile.factory import fitting_types
 from cellapp.cell.profile.loader import own_arm_types
-from cellapp.cell.programs.records import ArmPlace, LeftMotion, ProgramTarget, ReadProgram, Six
+from cellapp.cell.programs.records import ArmPlace, ProgramTarget, ReadProgram, Six, UnchangedMotion
 from cellapp.cell.programs.urscript import (
     SIX,
     Call,
@@ -175,23 +175,23 @@ class _TargetReader:
         own = self._motions.get(statement.function, ())
         return any(isinstance(one, Name) and own and one.name == own[0][1] for one in self._arguments(call))
 
-    def motions(self) -> tuple[list[ProgramTarget], list[LeftMotion]]:
+    def motions(self) -> tuple[list[ProgramTarget], list[UnchangedMotion]]:
         """Return all motions, in the order of the text."""
         targets: list[ProgramTarget] = []
-        left: list[LeftMotion] = []
+        left: list[UnchangedMotion] = []
         for statement in self._program.statements:
             if statement.expression is None:
                 left += _unreadable(statement)
             for call in _calls(statement):
                 if call.function in _OTHER_TARGETS:
-                    left.append(LeftMotion(statement.line, call.function, _OTHER_TARGETS[call.function]))
+                    left.append(UnchangedMotion(statement.line, call.function, _OTHER_TARGETS[call.function]))
                 elif call.function in _NO_TARGETS:
-                    left.append(LeftMotion(statement.line, call.function, "it has no target", refused=False))
+                    left.append(UnchangedMotion(statement.line, call.function, "it has no target", refused=False))
                 elif call.function in self._motions and not self._is_wrapped(statement, call):
                     try:
                         targets += self._targets(statement, call)
                     except Unresolved as reason:
-                        left.append(LeftMotion(statement.line, call.function, str(reason)))
+                        left.append(UnchangedMotion(statement.line, call.function, str(reason)))
         return targets, left
 
     def _targets(self, statement: Statement, call: Call) -> list[ProgramTarget]:
@@ -334,11 +334,11 @@ def _has_word(statement: Statement, word: str) -> bool:
     return any(token.text == word for token in statement.tokens if token.kind == "name")
 
 
-def _unreadable(statement: Statement) -> list[LeftMotion]:
+def _unreadable(statement: Statement) -> list[UnchangedMotion]:
     """Return the motions in a line that cannot be parsed."""
     words = [word.text for word in statement.tokens if word.kind == "name"]
     known = [word for word in words if word in _MOTIONS or word in _OTHER_TARGETS or word == "set_tcp"]
-    return [LeftMotion(statement.line, word, "this line cannot be read") for word in known[:1]]
+    return [UnchangedMotion(statement.line, word, "this line cannot be read") for word in known[:1]]
 
 
 def _place(expression: Expression) -> ArmPlace:
@@ -442,7 +442,7 @@ class _XmlReader:
 
     def __init__(self, xml: bytes, table: Array, published: Array) -> None:
         self._xml, self._table, self._published = xml, table, published
-        self.root, self.targets, self.left = "", list[ProgramTarget](), list[LeftMotion]()
+        self.root, self.targets, self.left = "", list[ProgramTarget](), list[UnchangedMotion]()
         self._waypoint: _Waypoint | None = None
         self._move: list[str] = []
         self._script: list[str] | None = None
@@ -486,7 +486,7 @@ class _XmlReader:
             if found := _MOVES.search("".join(self._script)):
                 what = found.group().rstrip("( \t\n")
                 reason = "script text within the .urp is not read; correct the .script file"
-                self.left.append(LeftMotion(self._script_line, what, reason))
+                self.left.append(UnchangedMotion(self._script_line, what, reason))
             self._script = None
 
     def characters(self, text: str) -> None:
@@ -521,7 +521,7 @@ class _XmlReader:
                 " 'cellapp doctor PROFILE --controllers FOLDER' writes that of the controller"
             )
         if reason:
-            self.left.append(LeftMotion(waypoint.line, command, reason))
+            self.left.append(UnchangedMotion(waypoint.line, command, reason))
             return
         first, last = waypoint.span
         spans = tuple(

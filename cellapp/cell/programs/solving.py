@@ -555,8 +555,8 @@ def assumptions(
 
 def model_notes(arm: ArmModel) -> list[str]:
     """Report the effects of the model that a corrected program leaves out."""
-    left = [term.slug for term in arm.effects if EFFECTS[term.slug].of_reading]
-    return [f"not corrected, as it moves only the reading: {', '.join(left)}"] if left else []
+    omitted = [term.slug for term in arm.effects if EFFECTS[term.slug].of_reading]
+    return [f"not corrected, as it moves only the reading: {', '.join(omitted)}"] if omitted else []
 
 
 def correct_lines(result: CorrectResult) -> list[str]:

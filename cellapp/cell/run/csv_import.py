@@ -30,7 +30,7 @@ from cellapp.cell.run.stations import (
     twice_at_a_stop,
 )
 from cellapp.estimation.calibration.quantities import repeats_words
-from cellapp.estimation.calibration.station_location import COMPUTED, explained, factory_doubt
+from cellapp.estimation.calibration.station_location import COMPUTED, explained, wrong_factory
 from cellapp.estimation.readings.columns import COLUMNS, CONFIGURATION, OF_SOCKETS
 from cellapp.estimation.readings.readings import Readings, lost_points, one_pose_a_stop, smr_names
 from cellapp.ground.errors import InputError
@@ -128,11 +128,11 @@ def readings_of_table(
         table.take([n for n, line in enumerate(table.lines) if line not in lost]), readings, smr
     )
     said = {arm: repeats_words(its.q, its.p_M) for arm, its in readings.items() if its.station is None}
-    doubts = {
-        arm: _computed(profile.arms[arm], its) or factory_doubt(profile.arms[arm], its) for arm, its in readings.items()
+    misfits = {
+        arm: _computed(profile.arms[arm], its) or wrong_factory(profile.arms[arm], its) for arm, its in readings.items()
     }
     notes += made
-    notes += [f"{table.path}: arm '{arm}': {words}" for its in (said, doubts) for arm, words in its.items() if words]
+    notes += [f"{table.path}: arm '{arm}': {words}" for its in (said, misfits) for arm, words in its.items() if words]
     missing = [name for name in profile.arms if name not in readings and name not in recorded]
     if missing:
         raise InputError(

@@ -112,9 +112,9 @@ class Paths:
         share = np.where(sample == last, 1.0, sample * (1.0 / last))
         return place(self.arm, self.start[path] + share[:, None] * (self.target[path] - self.start[path]))
 
-    def around(self, doubtful: Bools, every: int = 1) -> tuple[Numbers, Numbers]:
-        """Return path and index of every ``every``-th sample nearest to the ``doubtful`` (r,) coarse samples."""
-        path, sample = (part[doubtful] for part in self.coarse)
+    def around(self, unclear: Bools, every: int = 1) -> tuple[Numbers, Numbers]:
+        """Return path and index of every ``every``-th sample nearest to the ``unclear`` (r,) coarse samples."""
+        path, sample = (part[unclear] for part in self.coarse)
         if not len(path):
             return path, sample
         near = np.clip(sample[:, None] + np.arange(-(STRIDE // 2), STRIDE // 2 + 1), 0, self.count[path, None] - 1)
@@ -577,7 +577,7 @@ def _refuse_obstacles(cell: CellBodies, path: Paths) -> str:
     deviations = path.arm.body_levers @ path.half_step[0]
     low, high = box_about(bodies.start, bodies.end, bodies.radius)
     spread = (STRIDE + 1) * deviations  # from any point of the path to the nearest coarse sample
-    doubtful, near = np.zeros(len(bodies.smr), dtype=bool), []
+    unclear, near = np.zeros(len(bodies.smr), dtype=bool), []
     for obstacle, asked in zip(cell.obstacles, clearances, strict=True):
         needed = asked + spread
         if obstacle.far(low, high, float(needed.max())):
@@ -585,11 +585,11 @@ def _refuse_obstacles(cell: CellBodies, path: Paths) -> str:
         gaps = obstacle.gaps(bodies.start, bodies.end, bodies.radius, needed)
         rows = np.any(~(gaps >= needed), axis=1)
         if rows.any():
-            doubtful |= rows
+            unclear |= rows
             near.append((obstacle, asked))
     if not near:
         return ""
-    bodies = path.placed(*path.around(doubtful))
+    bodies = path.placed(*path.around(unclear))
     for obstacle, asked in near:
         needed = asked + deviations
         gaps = obstacle.gaps(bodies.start, bodies.end, bodies.radius, needed)
@@ -610,11 +610,11 @@ def _itself_free(cell: CellBodies, paths: Paths) -> tuple[Bools, str]:
     # seen from one body of a pair, the other is moved only by the joints between them
     spread = paths.half_step @ paths.arm.pair_levers.T * STRIDE  # (n, p)
     enough = (needed[:, None] + spread)[paths.coarse[0]]
-    doubtful = ~(pair_gaps(paths.coarse_bodies, i, k, enough) >= enough)
-    path, sample = paths.around(np.any(doubtful, axis=1))
+    unclear = ~(pair_gaps(paths.coarse_bodies, i, k, enough) >= enough)
+    path, sample = paths.around(np.any(unclear, axis=1))
     if not len(path):
         return free, ""
-    asked, pairs = needed[path, None], np.any(doubtful, axis=0)
+    asked, pairs = needed[path, None], np.any(unclear, axis=0)
     gaps = pair_gaps(paths.placed(path, sample), i[pairs], k[pairs], asked)
     low = path[~np.all(gaps >= asked, axis=1)]
     free[low] = False
@@ -713,7 +713,7 @@ def _beside_chords(q: Array, rows: np.ndarray, travelled: Array) -> Array:
 #
 # Each controller has its own clock: one arm may start a little later than another, or fall behind. The gate accepts
 # paths of several arms with a margin (``allowed_apart_m``). While they move, the deviation from the same row is
-# computed from their joints (``PathsAtOnce.apart_m``); more than ``MOST_APART_M`` is a doubt, which stops all arms.
+# computed from their joints (``PathsAtOnce.apart_m``); more than ``MOST_APART_M`` is a fault, which stops all arms.
 
 
 MOST_APART_M = 0.05

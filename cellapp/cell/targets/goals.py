@@ -72,8 +72,8 @@ def work_frame_pose(frame: WorkFrame) -> tuple[Array, float]:
     nominal = np.array([point.nominal for point in frame.points])
     measured = np.array([point.measured for point in frame.points])
     T = register(measured, nominal)
-    left = measured - apply(T, nominal)
-    return T, float(np.sqrt(np.mean(np.sum(left**2, axis=1))))
+    residual = measured - apply(T, nominal)
+    return T, float(np.sqrt(np.mean(np.sum(residual**2, axis=1))))
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------

@@ -100,14 +100,14 @@ def invert(
     q, best = start.copy(), start.copy()
     error = np.full((n, 6), np.inf)
     active = np.arange(n)
-    for left in reversed(range(_ROUNDS + 1)):
+    for rounds in reversed(range(_ROUNDS + 1)):
         errors, J = _errors(arm, position_M[active], wanted[active], q[active], conditions.take(active))
         errors[free[active], 3:] = 0.0
         better = np.abs(errors).max(axis=1) < np.abs(error[active]).max(axis=1)
         best[active[better]], error[active[better]] = q[active[better]], errors[better]
         going = ~(np.abs(errors).max(axis=1) < _SAME)
         active, errors, J = active[going], errors[going], J[going]
-        if not (left and len(active)):
+        if not (rounds and len(active)):
             break
         q[active] += _step(J, errors, free[active])
     rotated = np.where(free, np.nan, np.linalg.norm(error[:, 3:], axis=1))

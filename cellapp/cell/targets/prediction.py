@@ -31,7 +31,7 @@ from cellapp.ground.profile import SAME_PAYLOAD_KG
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.transforms import Array, rotation_vectors
 from cellapp.robot.model import ArmModel
-from cellapp.robot.model.model import PosteriorDraws
+from cellapp.robot.model.model import PosteriorSamples
 
 AT_ONCE = 1000
 """Number of configurations per batch: their posterior draws take some tens of MB."""
@@ -318,7 +318,7 @@ def _off_mrad(arm: ArmModel, q: Array, conditions: MeasurementConditions, wanted
     return [None if any_will_do else angle for any_will_do, angle in zip(free.tolist(), off.tolist(), strict=True)]
 
 
-def _with_noise(true: Array, posterior: PosteriorDraws) -> Array:
+def _with_noise(true: Array, posterior: PosteriorSamples) -> Array:
     """Return covariances (n, 3, 3) [rad^2] of measured orientations: those of the ``true`` ones plus noise.
 
     With several SMRs the axes of the noise depend on the viewing direction. They are assumed along the principal axes
@@ -373,7 +373,7 @@ class Predicted:
     positions: Sequence[Prediction | None]
     rotations: Sequence[PredictedRotation | None]
 
-    def draws(self) -> tuple[Array, Array, Array]:
+    def samples(self) -> tuple[Array, Array, Array]:
         """Return SMR positions (n, 3) [m], and draws (S, n, 3) of their errors [m] and of the orientations' [rad]."""
         assert self.arm.posterior is not None
         came = from_home(self.conditions, self.q, self.home)
@@ -386,14 +386,14 @@ class Predicted:
         ]
         return self.arm.predict(self.q, conditions=came), moved[0], moved[1]
 
-    def others(self, *draws: Array) -> Array:
+    def others(self, *samples: Array) -> Array:
         """Return the variances (2, n) of a coordinate [m^2] and of a component of rotation [rad^2] beside the draws."""
         known = zip(self.positions, self.rotations, strict=True)
         whole = [
             (one.uncertainty_mm, its.uncertainty_mrad) for one, its in known if one is not None and its is not None
         ]
-        drawn = np.array([np.mean(one**2, axis=(0, 2)) for one in draws])
-        return np.asarray(np.maximum((1e-3 * np.array(whole).T) ** 2 - drawn, 0.0))
+        sampled = np.array([np.mean(one**2, axis=(0, 2)) for one in samples])
+        return np.asarray(np.maximum((1e-3 * np.array(whole).T) ** 2 - sampled, 0.0))
 
 
 def predicted_relative(
@@ -420,13 +420,13 @@ def relative_covariances(first: Predicted, second: Predicted) -> tuple[tuple[Arr
 
     Seen from the first flange, its rotation by w moves the other SMR, at the vector d from its own, by ``-w x d``.
     """
-    (p_1, moved_1, rotated_1), (p_2, moved_2, rotated_2) = first.draws(), second.draws()
+    (p_1, moved_1, rotated_1), (p_2, moved_2, rotated_2) = first.samples(), second.samples()
     d = p_2 - p_1
     own, other = first.others(moved_1, rotated_1), second.others(moved_2, rotated_2)
     moved_1 = moved_1 + np.cross(rotated_1, d)
 
-    def of(*draws: Array) -> Array:
-        return np.asarray(sum(np.einsum("sna,snb->nab", one, one, optimize=True) / len(one) for one in draws))
+    def of(*samples: Array) -> Array:
+        return np.asarray(sum(np.einsum("sna,snb->nab", one, one, optimize=True) / len(one) for one in samples))
 
     model = of(moved_1, moved_2), of(rotated_1, rotated_2)
     noise_m2, noise_rad2 = own + other

@@ -168,9 +168,9 @@ class OpenElasticity:
         _, J = joint_jacobian(arm.geometry, angles)
         _, G = jacobian(arm.geometry, angles, arm.posterior.columns)
         joint, kind, offsets = _columns(context, largest_nm)
-        left = (readings.p_M - arm.predict(readings.q, conditions=conditions)).T
-        left = left + np.einsum("cjn,nj->cn", J, _by_accepted_laws(arm, context))
-        A, y, free = _rows(J[:, joint] * offsets), left.ravel(), _rows(G)
+        residual = (readings.p_M - arm.predict(readings.q, conditions=conditions)).T
+        residual = residual + np.einsum("cjn,nj->cn", J, _by_accepted_laws(arm, context))
+        A, y, free = _rows(J[:, joint] * offsets), residual.ravel(), _rows(G)
         basis, sizes, _ = np.linalg.svd(free / np.maximum(np.linalg.norm(free, axis=0), 1e-300), full_matrices=False)
         basis = basis[:, sizes > _DEPENDENT * sizes[0]]
         A, y = A - basis @ (basis.T @ A), y - basis @ (basis.T @ y)

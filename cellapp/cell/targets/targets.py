@@ -623,13 +623,13 @@ def _disagreement(nominal: Array, measured: Array) -> str:
 
 def _reflection(nominal: Array, measured: Array) -> str:
     """Report mirrored points: their distances agree, but no rigid motion maps one set to the other."""
-    left = np.linalg.norm(measured - apply(register(measured, nominal), nominal), axis=1)
-    worst = int(np.argmax(left))
-    if left[worst] <= _LARGEST_M:
+    residual = np.linalg.norm(measured - apply(register(measured, nominal), nominal), axis=1)
+    worst = int(np.argmax(residual))
+    if residual[worst] <= _LARGEST_M:
         return ""
     return (
         f"the measured points are the mirror image of the nominal ones: point {worst + 1} stays"
-        f" {left[worst] * 1e3:.3f} mm off; give both in right-handed coordinates"
+        f" {residual[worst] * 1e3:.3f} mm off; give both in right-handed coordinates"
     )
 
 

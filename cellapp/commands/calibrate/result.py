@@ -6,7 +6,7 @@ import math
 from typing import cast
 
 from cellapp.estimation.calibration.calibrate import ArmCalibration, CellCalibration
-from cellapp.estimation.calibration.learning import NetForm, Training
+from cellapp.estimation.calibration.network_training import NetForm, Training
 from cellapp.estimation.calibration.pair_calibration import PAIR_NAMES, PairCalibration, PairMethod
 from cellapp.estimation.calibration.quantities import summarise
 from cellapp.estimation.calibration.records import (

@@ -23,7 +23,7 @@ from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.network_kind import NetworkKind
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken, Listener, ignore, with_eta
+from cellapp.ground.progress import UNATTENDED, JobToken
 from cellapp.ground.results import CALIBRATE, CHECK, DISCOVER, LOCATE, VERIFY
 from cellapp.ground.shell import shell_word
 from cellapp.ground.threads import one_blas_thread
@@ -33,16 +33,11 @@ from cellapp.robot.model import CellModel
 def run(request: CalibrateRequest, work: Work) -> CalibrateResult:
     """Calibrate the run."""
     with RunFile.open(request.folder, write=True) as opened:
-        return calibrate_run(opened, work.listener, work.control, prior=request.prior, network=request.network)
+        return calibrate_run(opened, work.control, prior=request.prior, network=request.network)
 
 
 def calibrate_run(
-    run: RunFile,
-    listener: Listener = ignore,
-    cancel: CancelToken | None = None,
-    *,
-    prior: Path | None = None,
-    network: NetworkKind | None = None,
+    run: RunFile, job: JobToken = UNATTENDED, *, prior: Path | None = None, network: NetworkKind | None = None
 ) -> CalibrateResult:
     """Calibrate a run: draw missing splits, identify, evaluate, append the stage, export the model in force.
 
@@ -59,7 +54,7 @@ def calibrate_run(
     profile = run.profile
     if network is not None:
         profile = profile.model_copy(update={"network": profile.network.model_copy(update={"kind": network})})
-    notes = (*stored_tie_sentences(run.read_result(STATIONS_RESULT)), *draw_missing_splits(run))
+    notes = (*stored_tie_sentences(run.read_result(STATIONS_RESULT)), *sample_missing_splits(run))
     readings = {name: run.readings(name) for name in run.profile.arms}
     recordings = {name: read_recordings_of(run, name) for name in run.profile.arms}
     if prior is not None and any(recordings.values()):
@@ -78,11 +73,11 @@ def calibrate_run(
         from cellapp.estimation.motion.calibrate import calibrate_with_motion  # for a faster start without motion
 
         with one_blas_thread():
-            found, samples = calibrate_with_motion(profile, readings, recordings, with_eta(listener), cancel)
+            found, samples = calibrate_with_motion(profile, readings, recordings, job)
         keep_samples(run, samples)
         result, model = calibrate_result(replace(found, notes=(*notes, *found.notes))), found.model
     else:
-        result, model = calibrate_cell(profile, readings, listener, cancel, earlier=earlier, notes=notes)
+        result, model = calibrate_cell(profile, readings, job, earlier=earlier, notes=notes)
     now = basis_of(run)
     append_with_model(run, CALIBRATE, result, model, now.model_copy(update={"priors": basis_of_priors(earlier)}))
     stages = read_stages(run, lambda _: now)
@@ -93,8 +88,7 @@ def calibrate_run(
 def calibrate_cell(
     profile: Profile,
     readings: Mapping[str, Readings],
-    listener: Listener = ignore,
-    cancel: CancelToken | None = None,
+    job: JobToken = UNATTENDED,
     *,
     earlier: Mapping[str, Earlier] | None = None,
     notes: Sequence[str] = (),
@@ -111,13 +105,13 @@ def calibrate_cell(
         On request.
     """
     with one_blas_thread():
-        found = calibrate_readings(profile, readings, with_eta(listener), cancel)
+        found = calibrate_readings(profile, readings, job)
         if earlier:
             found = calibrate_with_prior(profile, readings, found, earlier)
     return calibrate_result(replace(found, notes=(*notes, *found.notes))), found.model
 
 
-def draw_missing_splits(run: RunFile) -> tuple[str, ...]:
+def sample_missing_splits(run: RunFile) -> tuple[str, ...]:
     """Draw and store splits if no reading has one yet, the same for all arms at a stop; return notes."""
     counts = run.split_counts()
     recorded = {state.arm for state in recording_states(run)}
@@ -129,11 +123,11 @@ def draw_missing_splits(run: RunFile) -> tuple[str, ...]:
     if not counts or any(word is not None for its in counts.values() for word in its):
         return ()
     readings = {name: run.readings(name) for name in counts}
-    drawn, notes = missing_splits(run.profile, readings)
-    for name, words in drawn.items():
+    sampled, notes = missing_splits(run.profile, readings)
+    for name, words in sampled.items():
         if name not in recorded:  # splits are drawn once: too few stops now must not bind those to come
             refuse_too_few(name, replace(readings[name], split=words))
-    for name, words in drawn.items():
+    for name, words in sampled.items():
         run.assign_splits(name, words)
     return (*notes, *_of_stops_to_come(run))
 
@@ -142,9 +136,9 @@ def _of_stops_to_come(run: RunFile) -> tuple[str, ...]:
     """Say what becomes of planned stops that are measured after the splits are drawn."""
     total = max(run.planned_counts().values(), default=0)
     seen = {*run.stops_done(), *(one.stop for one in run.outcomes()), *run.profile.plan.reserves(total)}
-    left = len({*range(total)} - seen)
-    words = f"{counted(left, 'planned stop is', 'planned stops are')} not measured: splits are drawn once, so that"
-    return (f"{words} those measured later only train; to draw from all, collect them into a new run",) if left else ()
+    more = len({*range(total)} - seen)
+    words = f"{counted(more, 'planned stop is', 'planned stops are')} not measured: splits are drawn once, so that"
+    return (f"{words} those measured later only train; to draw from all, collect them into a new run",) if more else ()
 
 
 def note_later_stages(run: RunFile, stages: RunStages) -> list[str]:

@@ -269,11 +269,11 @@ def prior_sentences(result: CalibrateResult) -> list[str]:
         if (prior := arm.prior) is None:
             continue
         effects = ", ".join(EFFECTS[slug].title for slug in prior.effects if slug in EFFECTS)
-        left = ", ".join(EFFECTS[slug].title for slug in prior.left_behind if slug in EFFECTS)
+        dropped = ", ".join(EFFECTS[slug].title for slug in prior.left_behind if slug in EFFECTS)
         said.append(
             f"arm {name}: {prior.run} ({prior.since}, {counted(prior.readings, 'reading')}) is the prior; carried over:"
             f" geometry{f', {effects}' if effects else ''}"
-            + (f"; of the earlier installation, not carried over: {left}" if left else "")
+            + (f"; of the earlier installation, not carried over: {dropped}" if dropped else "")
         )
         if not prior.changes:
             said.append(f"arm {name}: no change of a single parameter is proven ({prior.tested} were tested)")

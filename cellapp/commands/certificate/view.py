@@ -61,11 +61,11 @@ def view(result: CertificateResult, request: CertificateRequest | None = None) -
     """Show what is certified and where it was written; ``strict`` fails on all that does not confirm conformity."""
     written = [] if request is None else [f"written: {request.out or request.folder}"]
     strict = request is not None and request.strict
-    doubts = "; it does not confirm conformity" if result.complaints() else ""
+    complaint = "; it does not confirm conformity" if result.complaints() else ""
     return View(
         (*certificate_tables(result), *certificate_sentences(result), *written),
         result.complaints() if strict else (),
-        held=f"certificate {result.number} was written{doubts}",
+        held=f"certificate {result.number} was written{complaint}",
     )
 
 

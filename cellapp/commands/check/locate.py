@@ -23,7 +23,6 @@ from cellapp.commands.stored_model import arms_stage, model_of
 from cellapp.estimation.calibration.station_location import displacement_m
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Pose, Profile
-from cellapp.ground.progress import with_eta
 from cellapp.ground.results import LOCATE
 from cellapp.ground.shell import shell_word
 from cellapp.robot.effects import EFFECTS, EffectTerm
@@ -72,9 +71,9 @@ def locate_run(
     )
     notes: list[str] = []
     opened = noting_controllers(run, notes)
-    with running_job(run, control, "locate", work.listener) as listener:
+    with running_job(run, control, "locate"):
         confirm = confirmation(run.profile, work.ask(run.profile.name))
-        found = locate_station(task, with_eta(listener), control, confirm=confirm, opened=opened, open_with=open_with)
+        found = locate_station(task, control, confirm=confirm, opened=opened, open_with=open_with)
         result = _result(run.profile, task, found, (*notes, *found.notes))
         model = relocated(task.model, found.fit.T_new_old, found.fit.twists) if found.fit.explains else None
         _store(run, used, result, model)  # before the end is reported: listeners then read the run

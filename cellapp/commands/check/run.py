@@ -28,14 +28,13 @@ from cellapp.commands.stages import RunStages, StoredStage, append_stage, basis_
 from cellapp.commands.stored_model import arms_stage, model_of, stage_in_force
 from cellapp.estimation.calibration.station_location import predicted_points
 from cellapp.estimation.monitoring.belief import CheckBelief, check_belief
-from cellapp.estimation.monitoring.naming import Design
+from cellapp.estimation.monitoring.causes import Design
 from cellapp.estimation.monitoring.records import CHANGES_OF_ARMS, CheckedPoint, CheckedStop, CheckResult, CheckVerdict
 from cellapp.estimation.monitoring.sequential import SequentialTest, choose_stops, design_of
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.schema import Plant
-from cellapp.ground.progress import with_eta
 from cellapp.ground.results import CHECK, LOCATE
 from cellapp.ground.shell import shell_word
 from cellapp.robot.kinematics.transforms import xyz_of
@@ -88,11 +87,9 @@ def check_run(
         notes.append(f"the model in force, that of '{checked.used.name}', was checked although {checked.stale}")
 
     opened = noting_controllers(run, notes)
-    with running_job(run, control, "check", work.listener) as listener:
+    with running_job(run, control, "check"):
         confirm = confirmation(run.profile, work.ask(run.profile.name))
-        driven = drive_check(
-            task, test, with_eta(listener), control, confirm=confirm, opened=opened, open_with=open_with
-        )
+        driven = drive_check(task, test, control, confirm=confirm, opened=opened, open_with=open_with)
         result = _result(run, checked, driven, test.conclusion())
         result = result.model_copy(update={"notes": (*notes, *result.notes), "simulated": plant is not None})
         _store(run, checked, result)  # before the end is reported: listeners then read the run

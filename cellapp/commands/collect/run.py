@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.driving.records import CollectResult
 from cellapp.cell.driving.requests import running_job
@@ -14,17 +12,13 @@ from cellapp.commands.confirm import confirmation
 from cellapp.commands.record import Work
 from cellapp.commands.rehearse.result import keep_log
 from cellapp.ground.counting import listed_numbers
-from cellapp.ground.progress import with_eta
 from cellapp.ground.threads import one_blas_thread
 
 
 def run(request: CollectRequest, work: Work) -> CollectResult:
     """Measure the planned stops of the run."""
-    with (
-        RunFile.open(request.folder, write=True) as opened,
-        running_job(opened, work.control, "collect", work.listener) as listener,
-    ):
-        return collect_planned(opened, request, replace(work, listener=listener))
+    with RunFile.open(request.folder, write=True) as opened, running_job(opened, work.control, "collect"):
+        return collect_planned(opened, request, work)
 
 
 def collect_planned(run: RunFile, request: CollectRequest, work: Work) -> CollectResult:
@@ -36,11 +30,9 @@ def collect_planned(run: RunFile, request: CollectRequest, work: Work) -> Collec
     missing, ask = keep_log(run), work.ask(run.profile.name)
     again = None if request.again is None else [stop - 1 for stop in listed_numbers(request.again, "stops")]
     confirm = confirmation(run.profile, ask if ask is None or not missing else lambda words: ask(f"{words}\n{missing}"))
-    report = with_eta(work.listener)
     with one_blas_thread():
         result = collect_run(
             run,
-            report,
             work.control,
             resume=request.resume,
             accept_drift=request.accept_drift,

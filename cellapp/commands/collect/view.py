@@ -94,7 +94,7 @@ def collection_tables(state: CollectionResult) -> list[Table]:
         _standard_errors(state),
     ]
     measured = [one for one in state.stops if one.residual_mm is not None]
-    worst = sorted(measured, key=_doubt, reverse=True)[:_MOST_LISTED]
+    worst = sorted(measured, key=_suspicion, reverse=True)[:_MOST_LISTED]
     return with_rows(*tables, stops_table(worst, len(measured), "Stops to look at first"))
 
 
@@ -136,8 +136,8 @@ def residual_range_words(state: CollectionResult) -> str:
     return f"Normal range of a residual (95 %): {'; '.join(words)}." if words else ""
 
 
-def _doubt(one: CollectedStop) -> tuple[bool, float]:
-    """Return a sort key for doubt: suspicion first, then the ratio of residual and sigma."""
+def _suspicion(one: CollectedStop) -> tuple[bool, float]:
+    """Return a sort key: suspicion first, then the ratio of residual and sigma."""
     return bool(one.suspicion), residual_ratio(one) or 0.0
 
 

@@ -27,7 +27,7 @@ from cellapp.cell.programs.solving import (
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.recordings import known_readings
 from cellapp.cell.run.run_arms import recorded_controllers
-from cellapp.commands.compensate.earlier import refuse_corrected
+from cellapp.commands.compensate.earlier_commands import refuse_corrected
 from cellapp.commands.compensate.request import CompensateRequest, program_kind
 from cellapp.commands.record import View
 from cellapp.commands.stages import read_stages

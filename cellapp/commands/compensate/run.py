@@ -20,7 +20,7 @@ from cellapp.cell.targets.path import PathPlan, PathResult, PathSpec, holds_path
 from cellapp.cell.targets.ranges import ConditionRanges
 from cellapp.cell.targets.records import CompensateResult
 from cellapp.cell.targets.targets import Target, load_targets
-from cellapp.commands.compensate.earlier import refuse_corrected_targets
+from cellapp.commands.compensate.earlier_commands import refuse_corrected_targets
 from cellapp.commands.compensate.program import correct
 from cellapp.commands.compensate.request import CompensateRequest
 from cellapp.commands.record import Work
@@ -33,7 +33,6 @@ from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs, require_suffix
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import Listener, Progress, ignore
 from cellapp.ground.results import COMPENSATE, PATH
 from cellapp.ground.shell import shell_word
 from cellapp.robot.effects import MeasurementConditions
@@ -51,7 +50,7 @@ def run(request: CompensateRequest, work: Work) -> CompensateResult | PathResult
     with RunFile.open(request.folder, write=True) as opened:
         if isinstance(request.targets, Path) and holds_paths(request.targets):
             paths = load_paths(request.targets, opened.profile)
-            return compensate_paths(opened, paths, request.out, work.listener, work.control, work.outputs)
+            return compensate_paths(opened, paths, work.control, request.out, work.outputs)
         if request.out is not None:
             raise InputError(
                 f"compensate: --out is for path files; 'cellapp export {shell_word(request.folder)} --as"
@@ -126,9 +125,8 @@ def _common(arm: ArmModel, name: str, commands: Sequence[Command], readings: Rea
 def compensate_paths(
     run: RunFile,
     paths: Sequence[PathSpec],
-    out: Path | None = None,
-    listener: Listener = ignore,
     control: JobControl | None = None,
+    out: Path | None = None,
     outputs: Outputs = NEW_ONLY,
 ) -> PathResult:
     """Plan paths with the model in force, write their joint positions to ``out``, and store the result.
@@ -143,14 +141,15 @@ def compensate_paths(
     """
     if out is not None:
         require_suffix(out, (".csv", ".script"), "compensate: a path")
+    control = control or JobControl()
     stages, plans = read_stages(run), list[PathPlan]()
     used = stage_in_force(run, stages)
     model = model_of(run, used)
     for done, spec in enumerate(paths):
-        (control or JobControl()).check()
-        listener(Progress("paths", done, len(paths), spec.name))
+        control.check()
+        control.tell("paths", done, len(paths), spec.name)
         plans.append(plan_path(run.profile, model, spec, _PERIOD_S))
-    listener(Progress("paths", len(paths), len(paths), "done"))
+    control.tell("paths", len(paths), len(paths), "done")
     texts = {} if out is None else _path_texts(run, used, plans, out)
     write_new(texts, outputs)
     result = PathResult(

@@ -228,12 +228,12 @@ def verify_message(verify: VerifyResult) -> str:
 def _rotation_words(what: str, measured: Sequence[Measured]) -> list[str]:
     rotated = [one.orientation for one in measured if one.orientation is not None]
     was = [rotation.nominal_mrad for rotation in rotated if rotation.nominal_mrad is not None]
-    left = [rotation.final_mrad for rotation in rotated if rotation.final_mrad is not None]
-    if not (was and left):
+    final = [rotation.final_mrad for rotation in rotated if rotation.final_mrad is not None]
+    if not (was and final):
         return []
     judged = [rotation.verdict for rotation in rotated if rotation.verdict]
     met = f" ({judged.count('in')} of {len(judged)} within tolerance)" if judged else ""
-    return [f"{what} {np.mean(was):.2f} -> {np.mean(left):.3f} mrad{met}"]
+    return [f"{what} {np.mean(was):.2f} -> {np.mean(final):.3f} mrad{met}"]
 
 
 def push_lines(pushed: VerifyResult) -> list[str]:

@@ -39,7 +39,7 @@ from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken, Listener, Notice, Progress, duration_words, ignore, with_eta
+from cellapp.ground.progress import UNATTENDED, JobToken, Notice, duration_words
 from cellapp.ground.results import CALIBRATE, DISCOVER
 from cellapp.ground.shell import shell_word
 from cellapp.ground.threads import one_blas_thread
@@ -54,11 +54,11 @@ def run(request: DiscoverRequest, work: Work) -> DiscoverResult:
     """Search the run for missing effects; propose stops on request."""
     with RunFile.open(request.folder, write=True) as opened:
         if request.propose is None:
-            return discover_run(opened, work.listener, work.control)
-        return propose_run(opened, request.propose, work.listener, work.control)
+            return discover_run(opened, work.control)
+        return propose_run(opened, request.propose, work.control)
 
 
-def discover_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken | None = None) -> DiscoverResult:
+def discover_run(run: RunFile, job: JobToken = UNATTENDED) -> DiscoverResult:
     """Search every arm of a calibrated run for missing effects, append the stage, export the model with the effects.
 
     Raises
@@ -68,12 +68,10 @@ def discover_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken 
     Cancelled
         On request; nothing is stored then.
     """
-    return _discover(run, listener, cancel)[0]
+    return _discover(run, job)[0]
 
 
-def propose_run(
-    run: RunFile, count: int, listener: Listener = ignore, cancel: CancelToken | None = None
-) -> DiscoverResult:
+def propose_run(run: RunFile, count: int, job: JobToken = UNATTENDED) -> DiscoverResult:
     """Discover, then propose ``count`` further stops of all arms and write them into the plan.
 
     They replace earlier proposals that were not measured. A run that this program does not drive (no plan, or driver
@@ -86,9 +84,9 @@ def propose_run(
     Cancelled
         On request; no proposal is written then.
     """
-    result, found = _discover(run, listener, cancel)
+    result, found = _discover(run, job)
     try:
-        proposal = propose_after(run, found, count, listener, cancel)
+        proposal = propose_after(run, found, count, job)
     except InputError as error:
         raise InputError(
             f"{error}. The discovery is stored: 'cellapp show {shell_word(run.folder)} discovery'"
@@ -97,19 +95,12 @@ def propose_run(
 
 
 def propose_after(
-    run: RunFile,
-    found: CellDiscovery,
-    count: int,
-    listener: Listener = ignore,
-    cancel: CancelToken | None = None,
-    effort: Effort | None = None,
+    run: RunFile, found: CellDiscovery, count: int, job: JobToken = UNATTENDED, effort: Effort | None = None
 ) -> Proposal:
     """Propose ``count`` further stops after a discovery and write them into the plan. Raises as ``propose_stops``."""
     readings = {name: known_readings(run, name) for name in run.profile.arms}
     with one_blas_thread():
-        proposed = propose_stops(
-            run.profile, found.model, readings, found.arms, count, with_eta(listener), cancel, effort
-        )
+        proposed = propose_stops(run.profile, found.model, readings, found.arms, count, job, effort)
     if why := why_not_driven(run):
         note = f"{why}: the stops are listed only; measure them, then import them with the earlier readings"
         return proposal_result(proposed, None, (*proposed.notes, note))
@@ -120,8 +111,7 @@ def discover_effects(
     profile: Profile,
     model: CellModel,
     readings: Mapping[str, Readings],
-    listener: Listener = ignore,
-    cancel: CancelToken | None = None,
+    job: JobToken = UNATTENDED,
     search_arm: ArmSearch = discover_arm,
 ) -> tuple[DiscoverResult, CellDiscovery]:
     """Search every arm for missing effects.
@@ -135,12 +125,12 @@ def discover_effects(
         On request.
     """
     with one_blas_thread():
-        found = discover_cell(profile, model, readings, with_eta(listener), cancel, search_arm)
+        found = discover_cell(profile, model, readings, job, search_arm)
     extended = replace(found.model, provenance=provenance_of(profile).model_dump())
     return discover_result(found), replace(found, model=extended)
 
 
-def _discover(run: RunFile, listener: Listener, cancel: CancelToken | None) -> tuple[DiscoverResult, CellDiscovery]:
+def _discover(run: RunFile, job: JobToken) -> tuple[DiscoverResult, CellDiscovery]:
     calibrated = read_stages(run).current.get(CALIBRATE)
     if calibrated is None:
         raise InputError(f"{run.path}: not calibrated yet; run 'cellapp calibrate {shell_word(run.folder)}' first")
@@ -161,8 +151,8 @@ def _discover(run: RunFile, listener: Listener, cancel: CancelToken | None) -> t
     seconds = _SECONDS_AN_ARM * len(names) + _SECONDS_A_READING * learnt
     words = f"takes some {duration_words(seconds)} for {counted(learnt, 'reading')} to learn from"
     if not any(recordings.values()):  # their samples are chosen later
-        listener(Progress("discover", 0, 0, detail=Notice(words)))
-    result, found = discover_effects(run.profile, model, readings, listener, cancel, search)
+        job.tell("discover", 0, 0, detail=Notice(words))
+    result, found = discover_effects(run.profile, model, readings, job, search)
     basis = basis_of(run, {CALIBRATE: calibrated.digest}).model_copy(update={"priors": basis_of_priors(earlier)})
     append_with_model(run, DISCOVER, result, found.model, basis)
     for note in result.notes or ():

@@ -65,7 +65,8 @@ def size_words(meaning: EffectMeaning) -> str:
 
 
 def misfit_words(found: AcceptedEffect) -> str:
-    """State the displacement beside the effect's law; empty if it has no free part or hardly any displacement in it."""
+    """State the displacement beside the effect's law; empty if it has no discrepancy term or hardly any displacement in
+    it."""
     if found.law_misfit is None or found.law_misfit < _NOTICEABLE_MISFIT:
         return ""
     return (
@@ -81,14 +82,14 @@ def also_possible(arm: ArmDiscoveryResult) -> str:
     return ", ".join(f"{slug} ({probability_words(p)})" for slug, p in sorted(others, key=lambda entry: -entry[1]))
 
 
-def rival_sentences(arm: ArmDiscoveryResult) -> list[str]:
+def alternative_sentences(arm: ArmDiscoveryResult) -> list[str]:
     """State effects that could replace an accepted one, and those that the data rule out."""
     sentences = []
     for found in arm.accepted:
-        rivals = found.indistinguishable
-        if rivals:
+        confounded = found.indistinguishable
+        if confounded:
             sentences.append(
-                f"{' or '.join(rivals)} would explain these data as well as {found.effect}: the data cannot"
+                f"{' or '.join(confounded)} would explain these data as well as {found.effect}: the data cannot"
                 " distinguish them. One of these alternatives is there."
             )
         if found.ruled_out:

@@ -15,7 +15,7 @@ from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from cellapp.cell.driving.examination import LONGEST_PROBE_S
+from cellapp.cell.driving.diagnosis import LONGEST_PROBE_S
 from cellapp.cell.profile import profile_to_json
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.file import rehearsals_path

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from cellapp.cell.driving.cell import require_devices
-from cellapp.cell.driving.examination import controller_files, examine, factory_findings, factory_tables
+from cellapp.cell.driving.diagnosis import controller_files, examine, factory_findings, factory_tables
 from cellapp.cell.exports.formats import all_formats
 from cellapp.cell.profile import load_profile
 from cellapp.cell.profile.files import write_new

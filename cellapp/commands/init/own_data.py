@@ -470,15 +470,15 @@ def _judged(arm_type: _Type, q: Array, p_M: Array, modified: bool) -> str:
     """Say whether the published arm explains the points."""
     now = arm_type.explained(q, p_M)
     other = None if arm_type.other is None else replace(arm_type, content=arm_type.other).explained(q, p_M)
-    left = f"the published geometry of {arm_type.content.model} leaves {1e3 * now.rms_m:.1f} mm rms of the points"
+    misfit = f"the published geometry of {arm_type.content.model} leaves {1e3 * now.rms_m:.1f} mm rms of the points"
     if other is not None and other.rms_m < _OTHER_WAY * now.rms_m:
         words = "without --modified (standard rows)" if modified else "as modified rows"
         do = "leave --modified out" if modified else "give --modified"
-        return f"WARNING: {left}, {words} {1e3 * other.rms_m:.1f} mm: {do}"
+        return f"WARNING: {misfit}, {words} {1e3 * other.rms_m:.1f} mm: {do}"
     if now.computed:
-        return f"WARNING: {left}: {COMPUTED}"
+        return f"WARNING: {misfit}: {COMPUTED}"
     if now.holds:
-        return f"{left}: arm, units and signs fit"
+        return f"{misfit}: arm, units and signs fit"
     better = arm_type.better_reading(q, p_M)
     if better is None:
         alike = [one for one in _all_arms() if len(one.content.joints) == q.shape[1]]
@@ -487,4 +487,4 @@ def _judged(arm_type: _Type, q: Array, p_M: Array, modified: bool) -> str:
         hint = f"check the arm, the order of the joints, their zero positions and the units{fits}"
     else:
         hint = f"with {better[0]} it leaves {1e3 * better[1].rms_m:.1f} mm: change the file so"
-    return f"WARNING: {left}, which spread over {1e3 * now.spread_m:.0f} mm: {hint}"
+    return f"WARNING: {misfit}, which spread over {1e3 * now.spread_m:.0f} mm: {hint}"

@@ -41,7 +41,7 @@ from cellapp.ground.counting import counted
 from cellapp.ground.errors import CellappError, InputError
 from cellapp.ground.outputs import NEW_ONLY
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import Cancelled, with_eta
+from cellapp.ground.progress import Cancelled
 from cellapp.ground.results import ISO9283
 from cellapp.ground.shell import shell_word
 
@@ -95,12 +95,12 @@ def iso9283_run(run: RunFile, request: Iso9283Request, work: Work) -> Iso9283Res
     if used is not None and not request.out_of_date:
         require_current_model(run, stages, "iso9283")
     task = _task(run, request, stages, kinds, named)
-    with running_job(run, control, "iso9283", work.listener) as listener:
-        confirm, report = confirmation(run.profile, work.ask(run.profile.name)), with_eta(listener)
+    with running_job(run, control, "iso9283"):
+        confirm = confirmation(run.profile, work.ask(run.profile.name))
         findings, began = IsoFindings(notes=_notes(task, stages, used)), datetime.now(UTC).isoformat(timespec="seconds")
         opened = noting_controllers(run, findings.notes, insist=request.out_of_date)
         try:
-            drive_tests(task, findings, report, control, confirm=confirm, opened=opened)
+            drive_tests(task, findings, control, confirm=confirm, opened=opened)
         except (CellappError, Cancelled) as error:
             if findings.measured.visits or findings.paths:
                 with suppress(InputError):  # report the reason of the halt, not this error

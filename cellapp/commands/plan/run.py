@@ -38,7 +38,7 @@ from cellapp.ground.counting import counted, listed_numbers
 from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken, Listener, ignore, with_eta
+from cellapp.ground.progress import UNATTENDED, JobToken
 from cellapp.ground.shell import shell_word
 from cellapp.ground.threads import one_blas_thread
 
@@ -53,15 +53,15 @@ def run(request: PlanRequest, work: Work) -> PlanResult | PlanCheckResult:
     if request.profile is None:
         assert request.folder is not None, "the request says so"
         return _changed(request, request.folder, work)
-    profile, watched = load_profile(request.profile), (work.listener, work.control)
+    profile = load_profile(request.profile)
     if request.folder is None:
         assert request.source is not None, "the request says so"
-        return check_plan_file(profile, request.source, *watched)
+        return check_plan_file(profile, request.source, work.control)
     if request.source is not None:
         make = plan_around_file if request.keep else plan_from_file
-        result = make(profile, request.source, request.folder, *watched)
+        result = make(profile, request.source, request.folder, work.control)
     else:
-        with new_planned_run(profile, request.folder, *watched, sweeps=request.sweeps) as made:
+        with new_planned_run(profile, request.folder, work.control, sweeps=request.sweeps) as made:
             result = plan_result(made)
     with RunFile.open(request.folder, write=True) as planned:
         note_profile(planned, request.profile)
@@ -73,8 +73,8 @@ def _changed(request: PlanRequest, folder: Path, work: Work) -> PlanResult:
         if request.freeze is not None:
             return freeze_stops(opened, listed_numbers(request.freeze, "configurations"), work.control)
         if request.add is not None:
-            return extend_plan(opened, request.add, work.listener, work.control)
-        return replan(opened, work.listener, work.control)
+            return extend_plan(opened, request.add, work.control)
+        return replan(opened, work.control)
 
 
 def default_folder(profile_name: str) -> Path:
@@ -83,12 +83,7 @@ def default_folder(profile_name: str) -> Path:
 
 
 def new_planned_run(
-    profile: Profile,
-    folder: Path,
-    listener: Listener = ignore,
-    cancel: CancelToken | None = None,
-    *,
-    sweeps: int | None = None,
+    profile: Profile, folder: Path, job: JobToken = UNATTENDED, *, sweeps: int | None = None
 ) -> RunFile:
     """Make a new run with its plan; leave nothing behind if there is no plan or the job is cancelled.
 
@@ -109,9 +104,9 @@ def new_planned_run(
 
     def fill(run: RunFile) -> None:
         with one_blas_thread():
-            stops = plan_run(run, with_eta(listener), cancel)
+            stops = plan_run(run, job)
             if sweeps is not None:
-                planned = plan_sweeps(profile, stops, with_eta(listener), cancel)
+                planned = plan_sweeps(profile, stops, job)
                 run.write_result(SWEEPS_RESULT, planned.model_dump_json())
                 for note in planned.notes:
                     run.log("note", note)
@@ -199,9 +194,7 @@ def export_plan(run: RunFile, path: Path, outputs: Outputs = NEW_ONLY) -> None:
     write_plan_csv(read_planned_stops(run), path, outputs)
 
 
-def check_plan_file(
-    profile: Profile, path: Path, listener: Listener = ignore, cancel: CancelToken | None = None
-) -> PlanCheckResult:
+def check_plan_file(profile: Profile, path: Path, job: JobToken = UNATTENDED) -> PlanCheckResult:
     """Check a hand-edited plan by the rules of ``show DIR plan --check``. It only reads.
 
     Raises
@@ -210,12 +203,10 @@ def check_plan_file(
         As ``read_plan_csv``.
     Cancelled
     """
-    return _checked(profile, read_plan_csv(path, profile), listener, cancel)
+    return _checked(profile, read_plan_csv(path, profile), job)
 
 
-def plan_from_file(
-    profile: Profile, path: Path, folder: Path, listener: Listener = ignore, cancel: CancelToken | None = None
-) -> PlanResult:
+def plan_from_file(profile: Profile, path: Path, folder: Path, job: JobToken = UNATTENDED) -> PlanResult:
     """Make a run with a hand-edited plan exactly as it is written.
 
     If the number of stops in the file differs from the profile, the run's profile is changed to it, without reserves.
@@ -229,7 +220,7 @@ def plan_from_file(
     Cancelled
     """
     file = read_plan_csv(path, profile)
-    _require_safe(_checked(profile, file, listener, cancel))
+    _require_safe(_checked(profile, file, job))
     count, notes = len(file.stops), []
     if count != profile.plan.stops + profile.plan.reserve:
         notes.append(
@@ -246,9 +237,7 @@ def plan_from_file(
         return plan_result(run, notes)
 
 
-def plan_around_file(
-    profile: Profile, path: Path, folder: Path, listener: Listener = ignore, cancel: CancelToken | None = None
-) -> PlanResult:
+def plan_around_file(profile: Profile, path: Path, folder: Path, job: JobToken = UNATTENDED) -> PlanResult:
     """Make a run with the stops of a file frozen, and design further ones around them, ``plan.stops`` in all.
 
     Raises
@@ -259,10 +248,10 @@ def plan_around_file(
         With every offence, if a stop of the file or its last motion is refused. Nothing is written then.
     Cancelled
     """
-    file, listener = read_plan_csv(path, profile), with_eta(listener)
+    file = read_plan_csv(path, profile)
     _require_safe(_of_file(file, 0, check_each_stop(profile, file.stops)))
     kept = replace(file.stops, frozen=np.ones(len(file.stops), dtype=np.bool_))
-    stops, design = make_stops(profile, listener, cancel, kept=kept)
+    stops, design = make_stops(profile, job, kept=kept)
 
     def fill(run: RunFile) -> None:
         write_planned_stops(run, stops, design=design)
@@ -275,7 +264,7 @@ def plan_around_file(
 # -- plans in runs ----------------------------------------------------------------------------------------------------
 
 
-def extend_plan(run: RunFile, count: int, listener: Listener = ignore, control: JobControl | None = None) -> PlanResult:
+def extend_plan(run: RunFile, count: int, control: JobControl | None = None) -> PlanResult:
     """Append ``count`` stops to the plan of a run, designed around its stops; measured ones count as information.
 
     Raises
@@ -286,17 +275,17 @@ def extend_plan(run: RunFile, count: int, listener: Listener = ignore, control: 
         On request; the plan is unchanged then.
     """
     control = control or JobControl()
-    with running_job(run, control, "plan", listener) as listener:
+    with running_job(run, control, "plan"):
         required_plan(run)
         kept = read_planned_stops(run)
-        stops, design = make_stops(_other_seed(run), with_eta(listener), control, kept=kept, add=count)
+        stops, design = make_stops(_other_seed(run), control, kept=kept, add=count)
         write_planned_stops(run, stops, design=design)
         note = f"{counted(len(stops) - len(kept), 'stop was', 'stops were')} added after stop {len(kept)}"
         run.log("info", _CHANGED + note)
         return plan_result(run, [note])
 
 
-def replan(run: RunFile, listener: Listener = ignore, control: JobControl | None = None) -> PlanResult:
+def replan(run: RunFile, control: JobControl | None = None) -> PlanResult:
     """Design the unmeasured stops of a run again, around the measured ones.
 
     Stops that could not be reached or measured are replaced. Measured stops stay; so do those that discovery proposed
@@ -311,7 +300,7 @@ def replan(run: RunFile, listener: Listener = ignore, control: JobControl | None
         On request; the plan is unchanged then.
     """
     control = control or JobControl()
-    with running_job(run, control, "plan", listener) as listener:
+    with running_job(run, control, "plan"):
         required_plan(run)
         stops = read_planned_stops(run)
         parts = _parts(run, stops)
@@ -322,7 +311,7 @@ def replan(run: RunFile, listener: Listener = ignore, control: JobControl | None
                 f" with 'cellapp plan --edit --run {shell_word(run.folder)} --add N'"
             )
         kept = stops.take([*parts.fixed, *parts.frozen])
-        made, design = make_stops(_other_seed(run), with_eta(listener), control, kept=kept, add=needed)
+        made, design = make_stops(_other_seed(run), control, kept=kept, add=needed)
         write_planned_stops(run, made.take(parts.places(len(made))), design=design)
         note = f"{counted(len(made) - len(kept), 'stop was', 'stops were')} designed again around {len(kept)}"
         if parts.unreached:
@@ -340,7 +329,8 @@ def freeze_stops(run: RunFile, chosen: Collection[int], control: JobControl | No
     InputError
         If the run has no plan or not these stops, or another job runs in its folder.
     """
-    with running_job(run, control or JobControl(), "plan"):
+    control = control or JobControl()
+    with running_job(run, control, "plan"):
         required_plan(run)
         stops = read_planned_stops(run)
         if unknown := [stop for stop in chosen if not 0 <= stop < len(stops)]:
@@ -409,8 +399,8 @@ def _other_seed(run: RunFile) -> Profile:
 # -- offences of a file -----------------------------------------------------------------------------------------------
 
 
-def _checked(profile: Profile, file: PlanFile, listener: Listener, cancel: CancelToken | None) -> PlanCheckResult:
-    return _of_file(file, len(file.stops) + 1, check_stops(profile, file.stops, listener, cancel))
+def _checked(profile: Profile, file: PlanFile, job: JobToken) -> PlanCheckResult:
+    return _of_file(file, len(file.stops) + 1, check_stops(profile, file.stops, job))
 
 
 def _of_file(file: PlanFile, ways: int, refused: Sequence[PlanRefusal]) -> PlanCheckResult:

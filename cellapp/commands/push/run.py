@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import replace
 
 from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.cell_checks import carrying, check_cell
@@ -29,7 +28,7 @@ from cellapp.estimation.uncertainty.budget import Judge, measured_conditions
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import CellappError, InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import Cancelled, with_eta
+from cellapp.ground.progress import Cancelled
 from cellapp.ground.results import PUSH, VERIFY
 
 
@@ -37,9 +36,9 @@ def run(request: PushRequest, work: Work) -> VerifyResult:
     """Push the targets."""
     with (
         RunFile.open(request.folder, write=True) as opened,
-        running_job(opened, work.control, request.job_name() or "push", work.listener) as listener,
+        running_job(opened, work.control, request.job_name() or "push"),
     ):
-        return push_targets(opened, request, replace(work, listener=listener))
+        return push_targets(opened, request, work)
 
 
 def push_targets(run: RunFile, request: PushRequest, work: Work) -> VerifyResult:
@@ -84,7 +83,6 @@ def push_targets(run: RunFile, request: PushRequest, work: Work) -> VerifyResult
             profile,
             model_of(run, used),
             commands,
-            with_eta(work.listener),
             work.control,
             verify=request.verify,
             rounds=request.iterate or 0,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-from cellapp.cell.driving.rungs import RungName
+from cellapp.cell.driving.rehearsal_rungs import RungName
 from cellapp.commands.record import Asked, ProfilePath, Request, Verb
 
 

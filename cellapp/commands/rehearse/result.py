@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from cellapp.cell.driving.records import RehearsedMotion
-from cellapp.cell.driving.rungs import RUNGS, RungName
+from cellapp.cell.driving.rehearsal_rungs import RUNGS, RungName
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.file import noted_profile, rehearsals_path
 from cellapp.ground.errors import InputError

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from cellapp.cell.driving.motion import Confirm
 from cellapp.cell.driving.rehearsal import Rehearsal, rehearse
+from cellapp.cell.driving.rehearsal_rungs import RUNGS, RungName
 from cellapp.cell.driving.requests import running_job
-from cellapp.cell.driving.rungs import RUNGS, RungName
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.file import note_profile
@@ -20,7 +20,6 @@ from cellapp.commands.rehearse.request import RehearseRequest
 from cellapp.commands.rehearse.result import RehearseResult, missing_rungs, read_log, write_log
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import with_eta
 
 
 def run(request: RehearseRequest, work: Work) -> RehearseResult:
@@ -38,8 +37,8 @@ def run(request: RehearseRequest, work: Work) -> RehearseResult:
     with _planned(folder, profile, work) as opened:
         note_profile(opened, path)
         confirm = _confirmation(profile, work.ask(profile.name), name)
-        with running_job(opened, work.control, "rehearse", work.listener) as listener:
-            found = rehearse(opened, name, arms, with_eta(listener), work.control, confirm)
+        with running_job(opened, work.control, "rehearse"):
+            found = rehearse(opened, name, arms, work.control, confirm)
         result = _result(opened, name, arms, found)
     log = log.model_copy(update={"rungs": {**log.rungs, name: result}})
     result = result.model_copy(update={"missing": missing_rungs(log)})
@@ -70,7 +69,7 @@ def _arms(profile: Profile, name: RungName, asked: str | None) -> tuple[str, ...
 def _planned(folder: Path, profile: Profile, work: Work) -> RunFile:
     """Open or make the run whose plan is driven. Raises ``InputError`` if it is of another cell."""
     if not (folder / "run.sqlite").exists():
-        return new_planned_run(profile, folder, work.listener, work.control)
+        return new_planned_run(profile, folder, work.control)
     found = RunFile.open(folder, write=True)
     if found.profile.arms != profile.arms or found.profile.obstacles != profile.obstacles:
         found.close()

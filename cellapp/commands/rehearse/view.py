@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cellapp.cell.driving.rungs import RUNGS
+from cellapp.cell.driving.rehearsal_rungs import RUNGS
 from cellapp.commands.record import Request, View
 from cellapp.commands.rehearse.result import RehearsalLog, RehearseResult
 from cellapp.commands.view.parts import Section

@@ -55,7 +55,7 @@ from cellapp.commands.report.data import ReportData, warnings
 from cellapp.commands.report.summary import best_method
 from cellapp.commands.stages import CALIBRATION_FILE, readings_digest, sha256_of
 from cellapp.commands.stored_model import values_in_force
-from cellapp.commands.trials.power import power_parts, stored_power
+from cellapp.commands.trials.detectability import power_parts, stored_power
 from cellapp.commands.view.charts import Axis, Chart, enumerated, evenly_spread, levelling_rotation, series
 from cellapp.commands.view.parts import Facts, Section, section_of
 from cellapp.commands.view.table import Cell, Table, columns_of
@@ -386,12 +386,12 @@ def _station(data: ReportData) -> Section | None:
 
 def _residuals(data: ReportData) -> Section:
     """Show residuals of the newest model over the run, those of the identified geometry as vectors, and the drift."""
-    left = {
+    residual = {
         name: arm.validate_["geometry"].position_mm.rms
         for name, arm in data.calibrate.arms.items()
         if "geometry" in arm.validate_ and arm.converged
     }
-    words = enumerated(f"{mm(rms)} rms on arm {name}" for name, rms in left.items())
+    words = enumerated(f"{mm(rms)} rms on arm {name}" for name, rms in residual.items())
     message = f"The identified lengths and angles alone leave {words}; a pattern in the arrows is an effect."
     runs = (residual_drift_chart(name, data.readings[name].time_s, off) for name, off in data.residuals_M.items())
     vectors = (
@@ -402,7 +402,7 @@ def _residuals(data: ReportData) -> Section:
     )
     return Section(
         [*runs, *vectors, calibration_facts(data.calibrate), *network_tables(data.calibrate)],
-        message=message if left else "How the identification went, in numbers.",
+        message=message if residual else "How the identification went, in numbers.",
         about="Residuals of the held-out configurations as arrows, enlarged; the black arrow gives the scale. Residuals"
         " in the tracker frame are specific to one tracker station; residuals in the base frame move with the arm.",
     )

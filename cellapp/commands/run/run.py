@@ -51,18 +51,15 @@ def run(request: RunRequest, work: Work) -> WholeRunResult:
         need()
     notes: list[str] = []
     folder = request.folder or default_folder(profile.name)
-    with (
-        new_planned_run(profile, folder, work.listener, control, sweeps=request.sweeps) as run,
-        running_job(run, control, "run", work.listener) as listener,
-    ):
+    with new_planned_run(profile, folder, work.control, sweeps=request.sweeps) as run, running_job(run, control, "run"):
         note_profile(run, request.profile)
         give_back()  # memory of the plan's candidates
-        one = replace(work, listener=listener, ask=lambda profile_name: once)
+        one = replace(work, ask=lambda profile_name: once)
         asked = CollectRequest(folder=folder)
-        collected = collect_planned(run, asked, one if profile.loads == 1 else replace(work, listener=listener))
+        collected = collect_planned(run, asked, one if profile.loads == 1 else work)
         notes += collected.notes
-        notes += calibrate_run(run, listener, control).notes
-        discover_run(run, listener, control)
+        notes += calibrate_run(run, control).notes
+        discover_run(run, control)
         give_back()
         if targets:
             notes += push_targets(run, PushRequest(folder=folder, targets=targets, verify=True), one).notes

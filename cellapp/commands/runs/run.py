@@ -36,9 +36,9 @@ from cellapp.commands.runs.result import (
 from cellapp.commands.stages import RunStages, counted_basis, read_stages
 from cellapp.commands.stored_model import comparable_arms
 from cellapp.estimation.discovery.records import BeforeAfter
-from cellapp.estimation.monitoring.moved import CalibratedArm, Difference, differences
-from cellapp.ground.asking import who_uses
+from cellapp.estimation.monitoring.parameter_changes import CalibratedArm, Difference, differences
 from cellapp.ground.errors import CellappError, InputError
+from cellapp.ground.job_client import who_uses
 from cellapp.ground.results import CALIBRATE, DISCOVER, STAGES, VERIFY, Stage, StageName
 
 T = TypeVar("T")
@@ -188,7 +188,7 @@ def _summary(run: RunFile, known: RunSummary) -> RunSummary:
     after = next_step(run, stages, arms)
     done, total = run.stops_done(), max(run.planned_counts().values(), default=0)
     reserves = run.profile.plan.reserves(total)
-    left = sum(stop not in done and stop not in reserves for stop in range(total))
+    remaining = sum(stop not in done and stop not in reserves for stop in range(total))
     last = _last_session(sessions)
     figures, unreadable = run_figures(stages)
     out_of_date = {**stages.out_of_date, **unreadable}
@@ -201,7 +201,7 @@ def _summary(run: RunFile, known: RunSummary) -> RunSummary:
         arms=arms,
         stops_planned=total - len(reserves),
         stops_measured=len(done),
-        stops_left=left,
+        stops_left=remaining,
         sessions=len(sessions),
         last_session=last,
         stages=tuple(
@@ -211,7 +211,7 @@ def _summary(run: RunFile, known: RunSummary) -> RunSummary:
         figures=figures,
         next_verb=after.verb,
         next_step=after.short,
-        interrupted=last is not None and last not in _DONE and left > 0,
+        interrupted=last is not None and last not in _DONE and remaining > 0,
         in_use=known.in_use,
         size_bytes=known.size_bytes,
     )

@@ -17,7 +17,7 @@ from cellapp.commands.view.table import Table, table_of, with_rows
 from cellapp.commands.view.words import METHOD_WORDS, STAGE_WORDS, display_unit, geometry_unit, place_words
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import AcceptedEffect
-from cellapp.estimation.monitoring.moved import Difference, differences
+from cellapp.estimation.monitoring.parameter_changes import Difference, differences
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.grouping import grouped
@@ -206,8 +206,8 @@ def _effects(a: Sequence[AcceptedEffect], b: Sequence[AcceptedEffect]) -> Iterat
         first, second = ([effect for effect in own if effect.effect == slug] for own in (a, b))
         pairs = [(one, other) for one in first for other in second if one.where == other.where]
         paired = [id(effect) for pair in pairs for effect in pair]
-        left = ([effect for effect in own if id(effect) not in paired] for own in (first, second))
-        for one, other in (*pairs, *zip_longest(*left)):
+        unpaired = ([effect for effect in own if id(effect) not in paired] for own in (first, second))
+        for one, other in (*pairs, *zip_longest(*unpaired)):
             known = [effect for effect in (one, other) if effect is not None]
             places = " / ".join(dict.fromkeys(place_words(effect.where) for effect in known))
             sizes = ({} if effect is None else effect.parameters for effect in (one, other))

@@ -20,8 +20,8 @@ from cellapp.commands.show.result import RecordingsResult, Shown
 from cellapp.commands.show.view import profile_text
 from cellapp.commands.stages import complaints_of, read_stages
 from cellapp.commands.stored_model import model_of, values_in_force
-from cellapp.ground.asking import look_at_job, who_uses
 from cellapp.ground.errors import HardwareError, InputError
+from cellapp.ground.job_client import look_at_job, who_uses
 from cellapp.ground.results import Result
 from cellapp.ground.shell import filled, shell_word
 
@@ -85,8 +85,8 @@ def _recordings(run: RunFile) -> RecordingsResult:
 
 def _plan(run: RunFile, request: ShowRequest, work: Work) -> Result:
     if request.check:
-        return check_plan_run(run, work.listener, work.control)
-    return forecast_run(run, work.listener, work.control) if request.forecast else stored_plan(run)
+        return check_plan_run(run, work.control)
+    return forecast_run(run, work.control) if request.forecast else stored_plan(run)
 
 
 def _target(run: RunFile, name: str) -> Shown:

@@ -102,7 +102,7 @@ def blind_readings(
     plant = build_plant(profile)
     n = len(plan) if isinstance(plan, PlannedStops) else len(next(iter(plan.values())))
     at, steps = _visits(profile, plan, rng.permutation(n))
-    time_s, dwell_s, air_c = _drawn_conditions(profile, n, DURATION_S, rng)
+    time_s, dwell_s, air_c = _sampled_conditions(profile, n, DURATION_S, rng)
     loads_kg = _loads_kg(profile, n, _PAYLOAD_BLOCKS)
     readings = {}
     for place, (name, q) in enumerate(at.items()):
@@ -181,7 +181,7 @@ def _measured_orientation(
     }
 
 
-def _drawn_conditions(
+def _sampled_conditions(
     profile: Profile, n: int, duration_s: float, rng: np.random.Generator
 ) -> tuple[Array, Array, Array]:
     """Draw times [s], rests before the measurement [s] and air temperatures [degC] of n stops, each (n,)."""
@@ -201,9 +201,9 @@ def _loads_kg(profile: Profile, n: int, blocks: int) -> dict[str, Array]:
     }
 
 
-def _heavy_tailed(exact: Array, covariance: Array, draw: np.random.Generator) -> Array:
+def _heavy_tailed(exact: Array, covariance: Array, rng: np.random.Generator) -> Array:
     """Add noise of the given covariance (n, 3, 3) [m^2], drawn from Student's t, to points (n, 3) [m]."""
-    t = draw.standard_t(4, exact.shape) / np.sqrt(2.0)
+    t = rng.standard_t(4, exact.shape) / np.sqrt(2.0)
     return np.asarray(exact + np.einsum("nab,nb->na", np.linalg.cholesky(covariance), t))
 
 

@@ -39,7 +39,7 @@ from cellapp.estimation.discovery.discover import discover_arm
 from cellapp.estimation.discovery.records import ArmDiscoveryResult, BeforeAfter
 from cellapp.ground.errors import InputError
 from cellapp.ground.executors import PoolWork, gather
-from cellapp.ground.progress import Progress
+from cellapp.ground.progress import Listener, Progress
 from cellapp.ground.results import CALIBRATE, Record
 from cellapp.ground.version import __version__
 from cellapp.robot.effects import EFFECTS
@@ -252,16 +252,17 @@ def _stored(folder: Path) -> StoredTrial | None:
 def _judge_all(runs: Sequence[Path], source: str, total: int, work: PoolWork) -> Mapping[str, str]:
     """Judge runs; return run -> error for those that failed."""
     before = total - len(runs)
-    work.listener(Progress("judge", before, total, f"{before} judged before" if before else ""))
+    work.job.tell("judge", before, total, f"{before} judged before" if before else "")
     if not runs:
         return {}
 
-    def of_all(event: Progress) -> None:
-        work.listener(replace(event, done=before + event.done, total=total))
+    def of_all(event: Progress, listener: Listener) -> None:
+        listener(replace(event, done=before + event.done, total=total))
 
     folders = {run.name: str(run.absolute()) for run in runs}
-    unstored = replace(work, results=None, listener=of_all)
-    return gather(_judge, partial(str, source), folders, str, "judge", unstored, all_may_fail=True).failures
+    unstored = replace(work, results=None)
+    with work.job.heard_by(of_all):
+        return gather(_judge, partial(str, source), folders, str, "judge", unstored, all_may_fail=True).failures
 
 
 def _judge(source: str, folder: str) -> str:

@@ -40,7 +40,7 @@ from cellapp.estimation.calibration.calibrate import rms_length_mm
 from cellapp.estimation.readings import Readings, stated_uncertainty
 from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.ground.profile import Profile, Sensors
-from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
+from cellapp.ground.progress import UNATTENDED, JobToken
 from cellapp.ground.results import Record, Result
 from cellapp.ground.version import __version__
 from cellapp.robot.kinematics.transforms import Array
@@ -143,8 +143,7 @@ def seal_trials(
     setup: Setup = USUAL_SETUP,
     *,
     seed: int | None = None,
-    listener: Listener = ignore,
-    cancel: CancelToken | None = None,
+    job: JobToken = UNATTENDED,
 ) -> SealResult:
     """Write ``n`` sealed runs into a new folder, under the conditions of ``setup``.
 
@@ -157,7 +156,6 @@ def seal_trials(
     Cancelled
         On request; nothing is left behind then.
     """
-    cancel = cancel or CancelToken()
     setup.check()
     if profile.plant is None or len(profile.arms) != 2:
         raise InputError(f"profile {profile.name}: sealed trials need a section 'plant' and two arms")
@@ -169,13 +167,13 @@ def seal_trials(
         hidden = cases(tuple(profile.arms), setup.kind, n, seed)
         truths: list[GroundTruth] = []
         for first in range(0, len(hidden), _TRIALS_A_PLAN):
-            listener(Progress("seal", first, n, f"run {first + 1}"))
-            plan = _Plan.of(profile, setup, seed, first, cancel)
+            job.tell("seal", first, n, f"run {first + 1}")
+            plan = _Plan.of(profile, setup, seed, first, job)
             for number, case in enumerate(hidden[first : first + _TRIALS_A_PLAN], first + 1):
-                cancel.check()
-                listener(Progress("seal", number - 1, n, f"run {number}"))
+                job.check()
+                job.tell("seal", number - 1, n, f"run {number}")
                 truths.append(_write_run(profile, folder / f"run-{number:04d}", number, case, plan, seed, setup))
-        listener(Progress("seal", n, n, "done"))
+        job.tell("seal", n, n, "done")
         header = SealHeader(
             written=datetime.now(UTC).isoformat(timespec="seconds"),
             program=f"cellapp {__version__}",
@@ -294,9 +292,9 @@ class _Plan:
     seed: int
 
     @classmethod
-    def of(cls, profile: Profile, setup: Setup, seed: int, place: int, cancel: CancelToken) -> _Plan:
+    def of(cls, profile: Profile, setup: Setup, seed: int, place: int, job: JobToken) -> _Plan:
         own = int(np.random.default_rng([seed, 0x91A2, place]).integers(2**31))
-        return cls(setup.plan(profile, own, cancel), own)
+        return cls(setup.plan(profile, own, job), own)
 
 
 @dataclass(frozen=True, eq=False)
@@ -335,7 +333,7 @@ def _write_run(
     """Write one run; return its ground truth."""
     rng = np.random.default_rng([seed, 0x5EA1, number])
     plant_seed, noise_seed = (int(value) for value in rng.integers(2**31, size=2))
-    parameters = _drawn_parameters(profile, case, setup, rng)
+    parameters = _sampled_parameters(profile, case, setup, rng)
     public = without_truth(profile, number)
     cell = _HiddenCell(profile, case.arm, plan.stops, plant_seed, noise_seed, public.seed)
     readings, with_all = cell.measured(parameters, NOISES[setup.noise]), cell.exact(parameters)
@@ -362,7 +360,7 @@ def _write_run(
     )
 
 
-def _drawn_parameters(
+def _sampled_parameters(
     profile: Profile, case: Case, setup: Setup, rng: np.random.Generator
 ) -> dict[str, dict[str, Any]]:
     """Draw the parameters of every effect of a case for its arm."""

@@ -8,14 +8,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cellapp.cell.planning.plan import draw_stops, make_stops, plan_stops
+from cellapp.cell.planning.plan import make_stops, plan_stops, sample_stops
 from cellapp.cell.planning.planned_stops import PlannedStops
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.commands.trials.blind import Noise
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Arm, Profile
-from cellapp.ground.progress import CancelToken
+from cellapp.ground.progress import JobToken
 from cellapp.ground.results import Record
 from cellapp.robot.effects import EFFECTS
 from cellapp.robot.kinematics.transforms import Array
@@ -218,18 +218,18 @@ class Setup(Record):
             changes["splits"] = profile.splits.model_copy(update=splits)
         return profile.model_copy(update=changes)
 
-    def plan(self, profile: Profile, seed: int, cancel: CancelToken) -> Mapping[str, Array] | PlannedStops:
+    def plan(self, profile: Profile, seed: int, job: JobToken) -> Mapping[str, Array] | PlannedStops:
         """Return stops of all arms, drawn or designed by ``seed``. Raises ``InputError`` if none are found."""
         if self.ranges == "full":
             if self.plan_method == "random":
-                return plan_stops(profile.model_copy(update={"seed": seed}), cancel=cancel)
+                return plan_stops(profile.model_copy(update={"seed": seed}), job=job)
             designed = profile.plan.model_copy(update={"method": "designed"})
-            return make_stops(profile.model_copy(update={"seed": seed, "plan": designed}), cancel=cancel)[0]
+            return make_stops(profile.model_copy(update={"seed": seed, "plan": designed}), job=job)[0]
         rng = np.random.default_rng([seed, 0x4A44])
         for _ in range(_CENTRES):
             narrowed = _narrowed(profile, rng)
             try:
-                return draw_stops(cell_bodies(narrowed), narrowed, profile.plan.stops, rng, cancel)
+                return sample_stops(cell_bodies(narrowed), narrowed, profile.plan.stops, rng, job)
             except InputError:
                 continue
         raise InputError(f"--ranges narrow: about none of {_CENTRES} centres does the tracker see enough stops")
@@ -245,7 +245,7 @@ USUAL_SETUP = Setup()
 
 def _narrowed(profile: Profile, rng: np.random.Generator) -> Profile:
     """Return the profile with joint limits of 10 to 50 degrees about a stop at which all SMRs are visible."""
-    centre = draw_stops(cell_bodies(profile), profile, 1, rng)
+    centre = sample_stops(cell_bodies(profile), profile, 1, rng)
     arms: dict[str, Arm] = {}
     for name, arm in profile.arms.items():
         outer = np.array(arm.joint_limits)

@@ -22,7 +22,8 @@ from cellapp.estimation.calibration.identification import (
     robust_loss,
     start_from_nominal,
 )
-from cellapp.estimation.calibration.learning import (
+from cellapp.estimation.calibration.least_squares import MEDIAN_NORM, NORMAL_95
+from cellapp.estimation.calibration.network_training import (
     Training,
     learn,
     learning_steps,
@@ -30,7 +31,6 @@ from cellapp.estimation.calibration.learning import (
     train_network,
     training_steps,
 )
-from cellapp.estimation.calibration.least_squares import MEDIAN_NORM, NORMAL_95
 from cellapp.estimation.calibration.pair_calibration import PairCalibration, calibrate_pair, common_stops
 from cellapp.estimation.calibration.parameters import unknown_offset
 from cellapp.estimation.calibration.quantities import (
@@ -47,14 +47,14 @@ from cellapp.estimation.calibration.quantities import (
     with_probe,
 )
 from cellapp.estimation.calibration.records import ArmPriorResult, ClockResult, MotionResult, Repeatability
-from cellapp.estimation.calibration.station_location import factory_doubt
+from cellapp.estimation.calibration.station_location import wrong_factory
 from cellapp.estimation.readings import SPLITS, Readings, stated_uncertainty
 from cellapp.estimation.readings.readings import FIRST_SAMPLE, first_stops, neighbours_words
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import UNTOLD, CancelToken, JobSteps, Listener, Progress, SharedProgress, ignore
+from cellapp.ground.progress import UNATTENDED, UNTOLD, JobSteps, JobToken, SharedProgress
 from cellapp.ground.results import Provenance, Stage, StageErrors
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.effects.registry import program_of
@@ -91,17 +91,17 @@ _MOST_LISTED = 8
 """Number of configurations with gross errors that a sentence lists; more are counted."""
 
 
-def gross_errors(left_M: Array, angular: NDArray[np.bool_] | None = None) -> NDArray[np.bool_]:
+def gross_errors(residual_M: Array, angular: NDArray[np.bool_] | None = None) -> NDArray[np.bool_]:
     """Return a mask (n,) of the residuals (n, 3) [m] that are gross errors; all False if there are few readings.
 
     Orientations, masked by ``angular`` (n,), are judged separately [rad].
     """
     if angular is not None:
-        wrong = np.zeros(len(left_M), dtype=np.bool_)
+        wrong = np.zeros(len(residual_M), dtype=np.bool_)
         for rows in (angular, ~angular):
-            wrong[rows] = gross_errors(left_M[rows])
+            wrong[rows] = gross_errors(residual_M[rows])
         return wrong
-    lengths = np.linalg.norm(left_M, axis=1)
+    lengths = np.linalg.norm(residual_M, axis=1)
     if len(lengths) < _LEAST_READINGS:
         return np.zeros(len(lengths), dtype=np.bool_)
     wrong = np.asarray(lengths > max(_MOST * float(np.median(lengths)) / MEDIAN_NORM, _LEAST_TYPICAL_M))
@@ -235,7 +235,7 @@ def _held_out(profile: Profile) -> int | None:
     return None if profile.splits.validate_ == "rest" else profile.splits.validate_
 
 
-def draw_splits(
+def sample_splits(
     configurations: NDArray[np.int64],
     identify: int,
     train: int,
@@ -253,10 +253,10 @@ def draw_splits(
     order = np.random.default_rng([seed, 0x5EED]).permutation(numbers)
     words = ["identify"] * sizes.identify + ["train"] * sizes.train + ["validate"] * sizes.validate
     together = grouped((first.get(number, number), number) for number in numbers.tolist())
-    drawn: dict[int, str | None] = {}
+    sampled: dict[int, str | None] = {}
     for stops in (together[number] for number in order.tolist() if number in together):
-        drawn |= dict.fromkeys(stops, words[len(drawn)] if len(drawn) < len(words) else None)
-    return drawn, sizes.notes
+        sampled |= dict.fromkeys(stops, words[len(sampled)] if len(sampled) < len(words) else None)
+    return sampled, sizes.notes
 
 
 # -- Detection of a tracker station or robot base that was moved during the run: this would invalidate every fit ------
@@ -378,8 +378,7 @@ class CellCalibration:
 def calibrate_readings(
     profile: Profile,
     readings: Mapping[str, Readings],
-    listener: Listener = ignore,
-    cancel: CancelToken | None = None,
+    job: JobToken = UNATTENDED,
     *,
     known: Mapping[str, ArmCalibration] = MappingProxyType({}),
 ) -> CellCalibration:
@@ -392,7 +391,6 @@ def calibrate_readings(
     Cancelled
         If the token says so.
     """
-    cancel = cancel or CancelToken()
     notes: list[str] = []
     trains = profile.network.kind != "none"
     require_learner(profile.network)
@@ -401,14 +399,14 @@ def calibrate_readings(
     arms: dict[str, ArmCalibration] = {}
     _refuse_exchanged_probes(profile, readings)
     for name, arm_readings in readings.items():
-        listener(Progress("calibrate", len(arms), total, f"arm {name}: geometry"))
-        cancel.check()
+        job.tell("calibrate", len(arms), total, f"arm {name}: geometry")
+        job.check()
         arms[name], arm_notes = (known[name], []) if name in known else calibrate_arm(profile, name, arm_readings)
         notes += arm_notes
     if trains:
-        listener(Progress("calibrate", len(arms), total, "residual networks"))
+        job.tell("calibrate", len(arms), total, "residual networks")
         with ThreadPoolExecutor(max_workers=2) as pool:  # matrix products release the interpreter lock
-            shared = SharedProgress(listener, "calibrate", len(arms), total, cancel)
+            shared = SharedProgress(job, "calibrate", len(arms), total)
             tasks = {
                 name: pool.submit(train_arm, profile, arm, readings[name], shared.part(f"arm {name}"))
                 for name, arm in arms.items()
@@ -417,8 +415,8 @@ def calibrate_readings(
             for name, task in tasks.items():
                 arms[name] = task.result()
                 notes += _network_notes(name, arms[name])
-    listener(Progress("calibrate", total - 1, total, "pair"))
-    cancel.check()
+    job.tell("calibrate", total - 1, total, "pair")
+    job.check()
     good = {name: without(its, arms[name].left_out) for name, its in readings.items()}
     models = {name: arm.model for name, arm in arms.items()}
     in_tracker = {name: arm.tracker_frame_network for name, arm in arms.items()}
@@ -432,7 +430,7 @@ def calibrate_readings(
         pair=None if pair is None else (names[0], names[1]),
         provenance=provenance.model_dump(),
     )
-    listener(Progress("calibrate", total, total, "done"))
+    job.tell("calibrate", total, total, "done")
     return CellCalibration(model, arms, pair, tuple(notes), provenance)
 
 
@@ -497,8 +495,8 @@ def profile_splits(
     splits = profile.splits
     first, notes = first_stops(readings)
     held_out = _held_out(profile)
-    drawn, sizes = draw_splits(np.array([*first]), splits.identify, splits.train, held_out, profile.seed, first)
-    words = {name: tuple(drawn[number] for number in arm.configuration.tolist()) for name, arm in readings.items()}
+    sampled, sizes = sample_splits(np.array([*first]), splits.identify, splits.train, held_out, profile.seed, first)
+    words = {name: tuple(sampled[number] for number in arm.configuration.tolist()) for name, arm in readings.items()}
     return words, (*sizes, *notes)
 
 
@@ -516,8 +514,8 @@ def calibrate_arm(profile: Profile, name: str, readings: Readings) -> tuple[ArmC
         fitted = _fitted(profile, name, good.take(~wrong), robust=True)
     calibration = _evaluated(profile, name, readings, fitted)
     notes = _arm_notes(name, calibration, fitted)
-    if doubt := factory_doubt(profile.arms[name], fitted.readings):
-        notes.append(f"arm '{name}': {doubt}; no program, command or export is made of such a model")
+    if misfit := wrong_factory(profile.arms[name], fitted.readings):
+        notes.append(f"arm '{name}': {misfit}; no program, command or export is made of such a model")
     return calibration, notes
 
 
@@ -698,12 +696,12 @@ def train_arm(profile: Profile, arm: ArmCalibration, readings: Readings, steps: 
     if len(taught) < 2 * profile.network.folds:
         return arm
     loaded = MeasurementConditions(approach=taught.approach, payload_kg=taught.payload_kg)
-    left_M = taught.p_M - arm.model.predict(taught.q, conditions=loaded)
-    arm = with_networks(profile, arm, taught.q, left_M, taught.time_s, steps)
+    residual_M = taught.p_M - arm.model.predict(taught.q, conditions=loaded)
+    arm = with_networks(profile, arm, taught.q, residual_M, taught.time_s, steps)
     if arm.model.network is None:
         return arm
     done = learning_steps(profile.network)
-    rotations = JobSteps(lambda _, words: steps(done, f"rotations: {words}"), steps.cancel)
+    rotations = JobSteps(lambda _, words: steps(done, f"rotations: {words}"), steps.job)
     turning = rotation_network(profile, arm.model, measured_quantities(taught), rotations)
     arm = replace(arm, model=replace(arm.model, network=replace(arm.model.network, rotation=turning)))
     its = measured_quantities(held_out)
@@ -723,20 +721,20 @@ def rotation_network(profile: Profile, model: ArmModel, taught: Quantities, step
 
 
 def network_of_residuals(
-    profile: Profile, model: ArmModel, readings: Readings, left_M: Array, steps: JobSteps
+    profile: Profile, model: ArmModel, readings: Readings, residual_M: Array, steps: JobSteps
 ) -> ResidualNetwork | None:
-    """Train a network on residuals ``left_M`` (n, 3) [m, rad]; None if left-out ones are predicted no better by it."""
-    left_B = left_M @ model.geometry.T_M_B()[:3, :3]
-    return learn(profile.network, readings.q, left_B, readings.time_s, seed=profile.seed, steps=steps).network
+    """Train a network on residuals ``residual_M`` (n, 3) [m, rad]; None if it predicts left-out ones no better."""
+    residual_B = residual_M @ model.geometry.T_M_B()[:3, :3]
+    return learn(profile.network, readings.q, residual_B, readings.time_s, seed=profile.seed, steps=steps).network
 
 
 def with_networks(
-    profile: Profile, arm: ArmCalibration, q: Array, left_M: Array, time_s: Array, steps: JobSteps
+    profile: Profile, arm: ArmCalibration, q: Array, residual_M: Array, time_s: Array, steps: JobSteps
 ) -> ArmCalibration:
-    """Train networks on the geometry's residuals ``left_M`` (n, 3) [m] at ``q`` (n, N) [rad]: one in the base frame;
+    """Train networks on residuals ``residual_M`` (n, 3) [m] at ``q`` (n, N) [rad]: one in the base frame;
     for method 2 of a pair the same in the tracker frame; none if a network does not help."""
-    left_B, seed = left_M @ arm.model.geometry.T_M_B()[:3, :3], profile.seed
-    training = learn(profile.network, q, left_B, time_s, seed=seed, steps=steps.after(0, "base frame"))
+    residual_B, seed = residual_M @ arm.model.geometry.T_M_B()[:3, :3], profile.seed
+    training = learn(profile.network, q, residual_B, time_s, seed=seed, steps=steps.after(0, "base frame"))
     if training.network is None:
         return replace(arm, training=training)
     arm = replace(arm, model=replace(arm.model, network=training.network), training=training)
@@ -745,7 +743,7 @@ def with_networks(
     # The same shape, not rotated with joint 1: the tracker frame has no relation to that axis.
     shape = replace(training.shape, rotates_with_joint_1=False)
     later = steps.after(learning_steps(profile.network), "tracker frame")
-    in_tracker = train_network(profile.network, q, left_M, seed, later, shapes=(shape,))
+    in_tracker = train_network(profile.network, q, residual_M, seed, later, shapes=(shape,))
     return replace(arm, tracker_frame_network=in_tracker.network)
 
 

@@ -235,9 +235,9 @@ def pair_stops(profile: Profile, left: Readings) -> tuple[np.ndarray, np.ndarray
     """
     held_out = left.in_split("validate")
     learn = np.setdiff1d(np.arange(len(left)), held_out)
-    draw = np.random.default_rng([profile.seed, 0xBA5E])
-    learn = np.sort(draw.permutation(learn)[: profile.splits.pair_identify])
-    return learn, np.sort(draw.permutation(held_out)[: profile.splits.pair_validate])
+    rng = np.random.default_rng([profile.seed, 0xBA5E])
+    learn = np.sort(rng.permutation(learn)[: profile.splits.pair_identify])
+    return learn, np.sort(rng.permutation(held_out)[: profile.splits.pair_validate])
 
 
 def calibrate_pair(

@@ -41,7 +41,7 @@ from cellapp.robot.kinematics.transforms import (
     twist_columns,
 )
 from cellapp.robot.model import CellModel
-from cellapp.robot.model.model import DRAWS, relocated
+from cellapp.robot.model.model import SAMPLES, relocated
 from cellapp.robot.model.nominal import nominal_arm, published_rows
 
 # -- Pose of the tracker ----------------------------------------------------------------------------------------------
@@ -208,8 +208,8 @@ class _StationProblem:
 
 def _fit(problem: _StationProblem, station: Array) -> StationFit:
     for _ in range(_REWEIGHTED):
-        noise, drawn = _uncertainty(problem, station)
-        L = np.linalg.cholesky(noise + drawn.T @ drawn / len(drawn))
+        noise, sampled = _uncertainty(problem, station)
+        L = np.linalg.cholesky(noise + sampled.T @ sampled / len(sampled))
         of_prior = [] if problem.rough is None else [np.linalg.cholesky(problem.rough.covariance)]
         with_prior: Array = np.asarray(scipy.linalg.block_diag(L, *of_prior), dtype=np.float64)
         least_squares = LeastSquares(
@@ -223,14 +223,14 @@ def _fit(problem: _StationProblem, station: Array) -> StationFit:
     white_r, white_J = (scipy.linalg.solve_triangular(L, one, lower=True) for one in (r, J))
     gain = scipy.linalg.solve_triangular(L, white_J, lower=True, trans=1) @ covariance
     rng = np.random.default_rng([*problem.seed, 0x10C])
-    drawn_noise = rng.standard_normal((len(drawn), len(r))) @ np.linalg.cholesky(noise).T
+    sampled_noise = rng.standard_normal((len(sampled), len(r))) @ np.linalg.cholesky(noise).T
     return StationFit(
         T_new_old=station,
         covariance=covariance,
         residuals=_by_arm(problem.points, r),
         chi_squared=float(white_r @ white_r),
         degrees_of_freedom=len(r) - 6,
-        twists=-((drawn + drawn_noise) @ gain),
+        twists=-((sampled + sampled_noise) @ gain),
     )
 
 
@@ -254,7 +254,7 @@ def _uncertainty(problem: _StationProblem, station: Array) -> tuple[Array, Array
     """Compute the noise covariance (3 n, 3 n) [m^2] and draws of the model's error (S, 3 n) [m] at the points."""
     model = relocated(problem.model, station)
     sizes = [3 * len(own) for own in problem.points.values()]
-    noise, drawn, first = np.zeros((sum(sizes), sum(sizes))), np.zeros((DRAWS, sum(sizes))), 0
+    noise, sampled, first = np.zeros((sum(sizes), sum(sizes))), np.zeros((SAMPLES, sum(sizes))), 0
     for (name, own), size in zip(problem.points.items(), sizes, strict=True):
         arm, here = model.arms[name], slice(first, first + size)
         added = np.full(len(own), problem.excess_m[name] ** 2)
@@ -266,9 +266,9 @@ def _uncertainty(problem: _StationProblem, station: Array) -> tuple[Array, Array
         if arm.posterior is not None:
             context = arm.context(own.q, conditions=_conditions(model, own))
             moved = arm.posterior.displacements(arm.geometry, arm.effects, context)
-            drawn[:, here] = moved.reshape(len(moved), -1)
+            sampled[:, here] = moved.reshape(len(moved), -1)
         first += size
-    return noise, drawn
+    return noise, sampled
 
 
 def _conditions(model: CellModel, own: ArmPoints) -> MeasurementConditions:
@@ -406,17 +406,17 @@ def tie_stations(first: str, points: Sequence[NestPoint]) -> dict[str, StationTi
 def _pairwise(stations: Sequence[str], points: Sequence[NestPoint]) -> dict[str, Array]:
     """Register the stations one by one, each by the nests that it shares with those already registered."""
     T: dict[str, Array] = {stations[0]: np.eye(4)}
-    left = list(stations[1:])
-    while left:
+    remaining = list(stations[1:])
+    while remaining:
         known = {one.nest: apply(T[one.station], one.p[None])[0] for one in points if one.station in T}
-        for name in left:
+        for name in remaining:
             own = [one for one in points if one.station == name and one.nest in known]
             if len(own) >= FEWEST_NESTS and _spans(np.array([one.p for one in own])):
                 T[name] = register(np.array([known[one.nest] for one in own]), np.array([one.p for one in own]))
-                left.remove(name)
+                remaining.remove(name)
                 break
         else:
-            raise TooFewNests(left[0])
+            raise TooFewNests(remaining[0])
     return T
 
 
@@ -627,7 +627,7 @@ def better_reading(nominal: Geometry, q: Array, p_M: Array) -> tuple[str, Explai
     return simplest if simplest[1].holds and simplest[1].rms_m < _CLEARER * now else None
 
 
-def factory_doubt(arm: Arm, readings: Readings) -> str:
+def wrong_factory(arm: Arm, readings: Readings) -> str:
     """Say that the factory calibration of an arm explains its readings worse than the published rows; else empty."""
     if arm.factory is None or readings.station is not None or len(readings) < _FEWEST_ROWS:
         return ""

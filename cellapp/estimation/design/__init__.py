@@ -1,1 +1,2 @@
-"""Criteria of experimental design: information about parameters and effects, discrimination of rival models. No I/O."""
+"""Criteria of experimental design: information about parameters and effects, discrimination of alternative models. No
+I/O."""

@@ -156,7 +156,7 @@ def detectable_size(visible_norm: float, needed: float) -> float:
 
 # Choice of stops that discriminate between two models: T-optimality (Atkinson, Fedorov, Biometrika 62 (1975) 57, 289).
 #
-# The true model predicts the whitened signal ``a`` of an effect at every stop. The rival model (geometry, other
+# The true model predicts the whitened signal ``a`` of an effect at every stop. The alternative model (geometry, other
 # accepted effects, another effect in its place) with columns X and prior precisions P is fitted to that signal. The
 # minimum
 #
@@ -183,7 +183,8 @@ _LAMBDA_OFFSET = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class _Scaled:
-    """The rival's columns scaled to unit size, on run (p, d) and candidates (p, m, 3); normal matrix, precisions."""
+    """The alternative's columns scaled to unit size, on run (p, d) and candidates (p, m, 3); normal matrix,
+    precisions."""
 
     run: Array
     candidates: Array
@@ -193,18 +194,18 @@ class _Scaled:
 
 @dataclass(frozen=True, eq=False)
 class TwoModels:
-    """Signals of one model against a rival model, on the run and at candidate stops. All arrays are whitened.
+    """Signals of one model against an alternative model, on the run and at candidate stops. All arrays are whitened.
 
     Attributes
     ----------
     run_columns : array, shape (p, d)
-        Columns of the rival model on the run.
+        Columns of the alternative model on the run.
     precision : array, shape (p,)
         Their prior precisions.
     run_signals : array, shape (k, d)
         Signals on the run; lambda is their mean.
     candidate_columns : array, shape (p, m, 3)
-        Columns of the rival model at the candidates.
+        Columns of the alternative model at the candidates.
     candidate_signals : array, shape (k, m, 3)
         Signals at the candidates.
     """
@@ -231,23 +232,23 @@ class TwoModels:
         moment = scaled.run @ self.run_signals.T + columns @ signals.T
         eta = scipy.linalg.cho_solve(scipy.linalg.cho_factor(scaled.gram + columns @ columns.T, lower=True), moment)
         # from the residual: the difference of two large sums of squares would lose precision
-        left = float(np.sum((self.run_signals - eta.T @ scaled.run) ** 2) + np.sum((signals - eta.T @ columns) ** 2))
-        return (left + float(np.einsum("pk,p,pk->", eta, scaled.prior, eta))) / len(self.run_signals)
+        square = float(np.sum((self.run_signals - eta.T @ scaled.run) ** 2) + np.sum((signals - eta.T @ columns) ** 2))
+        return (square + float(np.einsum("pk,p,pk->", eta, scaled.prior, eta))) / len(self.run_signals)
 
     def start_design(self) -> SequentialDesign:
         """Return the state before the first further stop."""
         scaled = self._scaled()
         inverse = scipy.linalg.cho_solve(scipy.linalg.cho_factor(scaled.gram, lower=True), np.eye(len(scaled.gram)))
         eta = inverse @ (scaled.run @ self.run_signals.T)
-        left = float(np.sum((self.run_signals - eta.T @ scaled.run) ** 2))
-        left += float(np.einsum("pk,p,pk->", eta, scaled.prior, eta))
+        square = float(np.sum((self.run_signals - eta.T @ scaled.run) ** 2))
+        square += float(np.einsum("pk,p,pk->", eta, scaled.prior, eta))
         by_stop = np.ascontiguousarray(scaled.candidates.transpose(1, 2, 0))
         return SequentialDesign(
             columns=by_stop,
             inverse=inverse,
             variance=np.einsum("mcp,mep->mce", by_stop @ inverse, by_stop, optimize=True),
             error=self.candidate_signals - np.einsum("mcp,pk->kmc", by_stop, eta),
-            noncentrality=left / len(self.run_signals),
+            noncentrality=square / len(self.run_signals),
         )
 
 
@@ -262,9 +263,9 @@ class SequentialDesign:
     inverse : array, shape (p, p)
         Inverse of the normal matrix G.
     variance : array, shape (m, 3, 3)
-        x^T G^-1 x: variance of the rival's prediction at each candidate.
+        x^T G^-1 x: variance of the alternative's prediction at each candidate.
     error : array, shape (k, m, 3)
-        Signal minus the rival's prediction at each candidate.
+        Signal minus the alternative's prediction at each candidate.
     noncentrality : float
         Lambda with the stops added so far.
     """
@@ -292,7 +293,7 @@ class SequentialDesign:
         self.inverse -= gain @ weight @ gain.T
 
 
-def joint_gains(designs: Sequence[SequentialDesign], needed: Sequence[float], stops_left: int) -> Array:
+def joint_gains(designs: Sequence[SequentialDesign], needed: Sequence[float], stops: int) -> Array:
     """Return the gain of each candidate (m,) over several comparisons, nearly maximin, scaled to a largest value of 1.
 
     Parameters
@@ -301,12 +302,12 @@ def joint_gains(designs: Sequence[SequentialDesign], needed: Sequence[float], st
         One for each comparison; at least one.
     needed : sequence of float
         Lambda that each needs.
-    stops_left : int
+    stops : int
         Stops still to be chosen: comparisons that these cannot decide are ignored.
     """
     gains = [design.gains() / need for design, need in zip(designs, needed, strict=True)]
     reached = [design.noncentrality / need for design, need in zip(designs, needed, strict=True)]
-    hopeful = [k for k, gain in enumerate(gains) if stops_left * float(gain.max()) > HOPELESS * max(1.0, reached[k])]
+    hopeful = [k for k, gain in enumerate(gains) if stops * float(gain.max()) > HOPELESS * max(1.0, reached[k])]
     if hopeful:
         least = min(reached[k] for k in hopeful) + _LAMBDA_OFFSET
         total = sum(

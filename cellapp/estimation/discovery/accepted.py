@@ -84,7 +84,7 @@ def accepted_effects(
                 where,
                 evidence,
                 probable.terms[number],
-                runners_up=review.rivals,
+                runners_up=review.alternatives,
                 correlated_with=_most_correlated(fit, number),
                 cycles=_cycles(fit, number, term) if term.slug == TRANSMISSION_ERROR else None,
                 movements=term_movements(fit, number) or None,
@@ -128,7 +128,7 @@ def accepted_effect(
     ``posterior`` is NaN if it was not computed.
     """
     effect, shared = EFFECTS[term.slug], term_to_json(term)
-    indistinguishable = (rival.effect for rival in runners_up if not rival.distinguishable)
+    indistinguishable = (alternative.effect for alternative in runners_up if not alternative.distinguishable)
     meaning = effect.meaning_of(term.law).at(place_in_words(where.acts_on))
     return AcceptedEffect(
         effect=term.slug,
@@ -186,7 +186,7 @@ def _most_correlated(fit: JointFit, number: int) -> Correlation | None:
 def term_movements(fit: JointFit, number: int) -> tuple[PlaceMovement, ...]:
     """Return the rms displacement of the SMR at the readings by each joint or frame that a term acts on, largest first.
 
-    Parameters are those of the term's law. Its free part also moves the SMR, but has no named parameters.
+    Parameters are those of the term's law. Its discrepancy term also moves the SMR, but has no named parameters.
     """
     columns, named = fit.term_columns(number), len(fit.terms[number].names)
     signals = fit.term_values(number)[:, None] * fit.term_rows(number)

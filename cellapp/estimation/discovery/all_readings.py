@@ -37,14 +37,14 @@ from cellapp.estimation.discovery.process import (
     process_terms,
 )
 from cellapp.estimation.discovery.search.state import Review, SearchResult
-from cellapp.estimation.discovery.search.unnamed import without_name
+from cellapp.estimation.discovery.search.unnamed_term import without_name
 from cellapp.ground.errors import NotConverged
 from cellapp.robot.effects import EffectColumn, displacement_by
 from cellapp.robot.effects.effect import is_unnamed, lent_effect
 from cellapp.robot.kinematics.chain import AT_BOUND, smr_positions
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
-from cellapp.robot.model.model import PosteriorDraws
+from cellapp.robot.model.model import PosteriorSamples
 
 _CHUNK = 1024
 """Readings in a chunk: 2000 columns of them take 50 MB."""
@@ -52,7 +52,7 @@ _MOST_STEPS = 20
 """Most Gauss-Newton steps, rejected ones included: usually four suffice."""
 _TOLERANCE = 0.1
 """Step at which the fit ends, in standard errors of any combination of parameters."""
-_DRAW_SEED = 0xA117
+_SAMPLE_SEED = 0xA117
 """Combined with the profile's seed, so that these draws are independent of all other draws."""
 
 
@@ -241,12 +241,12 @@ def _fitted(data: ArmData, fit: JointFit, spread: float) -> ArmModel:
     values = found.point.values[: fit.layout.geometric] + problem.nominal
     if limits is not None and np.any(np.abs(np.clip(values, *limits) - values) > AT_BOUND):
         raise NotConverged.of("effects to all readings", "a parameter left its bounds")
-    draws = PosteriorDraws.of_covariance(
+    samples = PosteriorSamples.of_covariance(
         columns=estimated.columns,
         sizes=[term.size for term in fit.terms],
         covariance=found.point.normal.with_priors(fit.precision).covariance * spread**2,
         noise=noise_of(data, spread, smoothness_of(fit.terms)),
-        seed=(data.profile.seed, _DRAW_SEED),
+        seed=(data.profile.seed, _SAMPLE_SEED),
         tied=estimated.tied,
     )
-    return replace(found.point.fit.model, posterior=draws)
+    return replace(found.point.fit.model, posterior=samples)

@@ -100,7 +100,7 @@ class ModelTerm:
     note : str
         Description of a data-driven term.
     modulations : tuple of Modulation
-        Free part of the law: further columns, behind those of the law.
+        Discrepancy term of the law: further columns, behind those of the law.
     modulation_sd : tuple of float
         Prior standard deviation of each modulation, in its unit.
     """
@@ -115,7 +115,7 @@ class ModelTerm:
 
     @property
     def size(self) -> int:
-        """Number of columns: those of the law and of its free part."""
+        """Number of columns: those of the law and of its discrepancy term."""
         return len(self.names) + len(self.modulations)
 
     @property
@@ -467,7 +467,7 @@ class ArmData:
         return self.cache[key]
 
     def term_columns(self, terms: ModelTerms) -> tuple[EffectColumn, ...]:
-        """Return the columns of the terms in order: for each those of the law, then those of its free part."""
+        """Return the columns of the terms in order: for each those of the law, then those of its discrepancy term."""
         found: list[EffectColumn] = []
         for term in terms:
             columns = with_modulations(self.columns(term.slug, term.law, term.names), term.modulations, self.context)

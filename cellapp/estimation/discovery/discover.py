@@ -20,8 +20,8 @@ from cellapp.estimation.calibration.calibrate import (
     rotation_network,
     without,
 )
-from cellapp.estimation.calibration.learning import learning_steps
 from cellapp.estimation.calibration.least_squares import mean_variance
+from cellapp.estimation.calibration.network_training import learning_steps
 from cellapp.estimation.calibration.pair_calibration import calibrate_pair
 from cellapp.estimation.calibration.quantities import ArmReadings, states_nothing
 from cellapp.estimation.discovery.accepted import accepted_effects, contradictions, pictures
@@ -34,14 +34,14 @@ from cellapp.estimation.discovery.posterior import posteriors_of, remaining_scan
 from cellapp.estimation.discovery.records import ArmDiscoveryResult, BeforeAfter, GapStep, HeldOutBeforeAfter, Noise
 from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchResult, scatter
 from cellapp.estimation.discovery.search.stepwise import SEARCH_STEPS, search
-from cellapp.estimation.discovery.search.unnamed import unnamed_record
-from cellapp.estimation.discovery.verdict import structure_left, verdict
+from cellapp.estimation.discovery.search.unnamed_term import unnamed_record
+from cellapp.estimation.discovery.verdict import residual_structure, verdict
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.readings.readings import one_a_stop
 from cellapp.ground.counting import counted, mm
 from cellapp.ground.errors import NotConverged, with_not_fitted
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import UNTOLD, CancelToken, JobSteps, Listener, Progress, SharedProgress, ignore
+from cellapp.ground.progress import UNATTENDED, UNTOLD, JobSteps, JobToken, SharedProgress
 from cellapp.ground.threads import give_back
 from cellapp.robot.effects import EFFECTS
 from cellapp.robot.kinematics.transforms import Array
@@ -63,8 +63,7 @@ def discover_cell(
     profile: Profile,
     model: CellModel,
     readings: Mapping[str, Readings],
-    listener: Listener = ignore,
-    cancel: CancelToken | None = None,
+    job: JobToken = UNATTENDED,
     search_arm: ArmSearch | None = None,
 ) -> CellDiscovery:
     """Search the readings of every arm of a calibrated cell for missing effects, and add them to the model.
@@ -78,7 +77,7 @@ def discover_cell(
     """
     readings = {name: one_a_stop(its) for name, its in readings.items()}
     searched = ArmReadings.of_cell(profile, model.arms, readings)
-    arms = _discover_arms(profile, searched, listener, cancel or CancelToken(), search_arm or discover_arm)
+    arms = _discover_arms(profile, searched, job, search_arm or discover_arm)
     pair = None
     if any(discovery.terms for discovery in arms.values()):
         good = {name: without(readings[name], found.result.left_out_configurations) for name, found in arms.items()}
@@ -86,7 +85,7 @@ def discover_cell(
     T_R_L = model.T_R_L if pair is None else pair.T_R_L
     model = replace(model, arms={name: found.model for name, found in arms.items()}, T_R_L=T_R_L)
     total = _total_steps(profile, len(arms))
-    listener(Progress("discover", total, total, "done"))
+    job.tell("discover", total, total, "done")
     return CellDiscovery(arms, model, pair)
 
 
@@ -101,11 +100,11 @@ def _may_train(profile: Profile) -> bool:
 
 
 def _discover_arms(
-    profile: Profile, arms: Mapping[str, ArmReadings], listener: Listener, cancel: CancelToken, search_arm: ArmSearch
+    profile: Profile, arms: Mapping[str, ArmReadings], job: JobToken, search_arm: ArmSearch
 ) -> dict[str, ArmFound]:
     found: dict[str, ArmFound] = {}
     total = _total_steps(profile, len(arms))
-    searched = SharedProgress(listener, "discover", 0, total, cancel)
+    searched = SharedProgress(job, "discover", 0, total)
     for name, arm in arms.items():
         steps = searched.part(f"arm {name}")
         steps(0, "search")
@@ -114,7 +113,7 @@ def _discover_arms(
         steps(SEARCH_STEPS, found[name].result.verdict)
     if not _may_train(profile):
         return found
-    trained = SharedProgress(listener, "discover", SEARCH_STEPS * len(arms), total, cancel)
+    trained = SharedProgress(job, "discover", SEARCH_STEPS * len(arms), total)
     with ThreadPoolExecutor(max_workers=2) as pool:  # the matrix products work outside the interpreter lock
         tasks = {}
         for name, discovery in found.items():
@@ -162,12 +161,12 @@ def _evaluated(arm: ArmReadings, result: Searched, held_out: HeldOut, started: f
     scan = remaining_scan(searched)
     probable = searched.posteriors or posteriors_of(searched, scan)
     terms, accepted = accepted_effects(found, fitted_model, held_out, after.rms, probable)
-    left, structure = scatter(found.data, found.fit), structure_left(searched.data, searched.fit)
+    spread, structure = scatter(found.data, found.fit), residual_structure(searched.data, searched.fit)
     nameless, claim = unnamed_record(found, held_out), _contradicted_claim(found, stated_mm)
-    if claim is not None and left is not None:
-        left = replace(left, against="estimated")
+    if claim is not None and spread is not None:
+        spread = replace(spread, against="estimated")
     errors = BeforeAfter(before=before.rms, after=after.rms)
-    word, sentence = verdict(accepted, floor_mm, errors, len(held_out), left, structure, nameless)
+    word, sentence = verdict(accepted, floor_mm, errors, len(held_out), spread, structure, nameless)
     if result.harmful:
         word = "unknown effect"  # the search fitted something real, but not by its true cause
     # if nothing was found, the arm stays as it was calibrated
@@ -183,8 +182,8 @@ def _evaluated(arm: ArmReadings, result: Searched, held_out: HeldOut, started: f
         seconds=time.perf_counter() - started,
         steps=_gap_steps(found, held_out, before.rms, after.rms, None if result.only_some else result.fitted),
         threshold=found.threshold,
-        omnibus_p=None if left is None else left.p_value,
-        scatter=None if left is None else left.ratio,
+        omnibus_p=None if spread is None else spread.p_value,
+        scatter=None if spread is None else spread.ratio,
         accepted=accepted,
         candidates=probable.effects,
         contradictions=contradictions(terms, accepted),
@@ -328,7 +327,7 @@ def _judged_by_held_out(result: Searched, held_out: HeldOut) -> Searched:
 
 def _with_what_was_left_out(sentence: str, result: Searched) -> str:
     """Append to the sentence of the verdict which effects and which readings were left out."""
-    said = {rival.effect for one in result.found.reviews for rival in one.rivals if not rival.distinguishable}
+    said = {other.effect for one in result.found.reviews for other in one.alternatives if not other.distinguishable}
     improbable = [slug for slug in result.found.improbable if slug not in said]
     if improbable:
         titles = ", ".join(EFFECTS[slug].title for slug in improbable)
@@ -418,8 +417,8 @@ def _train(arm: ArmReadings, steps: JobSteps) -> ResidualNetwork | None:
     readings = arm.readings
     if len(readings) < _READINGS_A_FOLD * arm.profile.network.folds:
         return None
-    left_M = readings.p_M - arm.model.predict(readings.q, conditions=arm.conditions)
-    return network_of_residuals(arm.profile, arm.model, readings, left_M, steps)
+    residual_M = readings.p_M - arm.model.predict(readings.q, conditions=arm.conditions)
+    return network_of_residuals(arm.profile, arm.model, readings, residual_M, steps)
 
 
 def _correction_mm(network: ResidualNetwork | None, q: Array) -> float:

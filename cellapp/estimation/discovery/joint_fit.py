@@ -49,7 +49,7 @@ from cellapp.robot.effects import EFFECTS, EffectColumn, EffectTerm, Law
 from cellapp.robot.kinematics.chain import Geometry, JointAngles, joint_jacobian
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
-from cellapp.robot.model.model import PosteriorDraws, ReadingsNoise
+from cellapp.robot.model.model import PosteriorSamples, ReadingsNoise
 from cellapp.robot.model.nominal import FIXED_SD
 
 # -- Normal equations of a linear model with priors: accumulated over readings, solved, and partly eliminated ---------
@@ -267,7 +267,7 @@ _SMOOTH_TOLERANCE = 1e-5
 hardly determine, and moves no prediction by a micrometre."""
 _LEAST_STEPS = 200
 """Steps that a fit may take at least: without a term that moves the SMR by a millimetre it follows a curved valley."""
-_DRAW_SEED = 0xD4A7
+_SAMPLE_SEED = 0xD4A7
 """Combined with the profile's seed, so that the draws of parameters are independent of all other draws."""
 
 
@@ -417,15 +417,15 @@ class JointFit:
         return self.rows[self.layout.parameters(term)]
 
     def law_rows(self, term: int) -> Array:
-        """Return the whitened columns of a term's law (m, 3 n), without those of its free part."""
+        """Return the whitened columns of a term's law (m, 3 n), without those of its discrepancy term."""
         return self.term_rows(term)[: len(self.terms[term].names)]
 
     def law_misfit(self, term: int) -> float:
-        """Return the ratio of the rms displacement by a term's free part to that by its law."""
+        """Return the ratio of the rms displacement by a term's discrepancy term to that by its law."""
         values, size = self.term_values(term), len(self.terms[term].names)
         by_law = float(np.linalg.norm(values[:size] @ self.law_rows(term)))
-        by_free_part = float(np.linalg.norm(values[size:] @ self.term_rows(term)[size:]))
-        return by_free_part / by_law if by_law > 0.0 else 0.0
+        by_discrepancy = float(np.linalg.norm(values[size:] @ self.term_rows(term)[size:]))
+        return by_discrepancy / by_law if by_law > 0.0 else 0.0
 
     def term_values(self, term: int) -> Array:
         """Return the fitted values of a term's parameters (m,)."""
@@ -520,15 +520,15 @@ def with_posterior(data: ArmData, fit: JointFit, spread: float = 1.0) -> ArmMode
     """Return the fitted model with draws of its parameters and the scatter of readings, ``spread`` times as wide."""
     found = fit.identification
     kept = [*range(len(found.estimated.columns)), *range(fit.layout.geometric, fit.layout.total)]
-    draws = PosteriorDraws.of_covariance(
+    samples = PosteriorSamples.of_covariance(
         columns=found.estimated.columns,
         sizes=[term.size for term in fit.terms],
         covariance=found.covariance[np.ix_(kept, kept)] * spread**2,
         noise=noise_of(data, max(found.scale, 1.0) * spread, smoothness_of(fit.terms)),
-        seed=(data.profile.seed, _DRAW_SEED),
+        seed=(data.profile.seed, _SAMPLE_SEED),
         tied=found.estimated.tied,
     )
-    return replace(fit.model, posterior=draws)
+    return replace(fit.model, posterior=samples)
 
 
 def noise_of(data: ArmData, scale: float = 1.0, smooth: Smoothness | None = None) -> ReadingsNoise:
@@ -734,7 +734,7 @@ def left_out(data: ArmData, fit: JointFit) -> Array:
     """
     residual = np.empty(len(fit.residual))
     for one in _folds(fit, _fold_numbers(data)):
-        residual[one.out] = one.left
+        residual[one.out] = one.residual
     return np.asarray(np.einsum("nab,bn->na", np.linalg.inv(fit.white.transpose(2, 0, 1)), residual.reshape(3, -1)))
 
 
@@ -743,7 +743,7 @@ def left_out_in_sd(data: ArmData, fit: JointFit) -> Array:
     scaled = np.empty(len(fit.residual))
     for one in _folds(fit, _fold_numbers(data)):
         rows = fit.rows[:, one.out]
-        scaled[one.out] = one.left / np.sqrt(1.0 + np.einsum("pk,pk->k", rows, one.learnt.solve(rows)))
+        scaled[one.out] = one.residual / np.sqrt(1.0 + np.einsum("pk,pk->k", rows, one.learnt.solve(rows)))
     return scaled
 
 
@@ -770,16 +770,16 @@ def _left_out(fit: JointFit, new_rows: Array, fold: NDArray[np.intp]) -> Iterato
             precision = np.concatenate([fit.precision, np.zeros(len(new))])
             of_all = np.concatenate([fit.normal.scale, np.ones(len(new))])
             solution = NormalMatrix.of(rows[:, learnt], target[learnt]).with_priors(precision, of_all).solution
-            yield one.left, target[one.out] - solution @ rows[:, one.out]
+            yield one.residual, target[one.out] - solution @ rows[:, one.out]
             continue
         moment = B @ target[learnt] - taken.T @ one.moment
         values = scipy.linalg.lapack.dpotrs(factor, moment, lower=1)[0]
-        yield one.left, one.left - values @ (new[:, one.out] - taken.T @ fit.rows[:, one.out])
+        yield one.residual, one.residual - values @ (new[:, one.out] - taken.T @ fit.rows[:, one.out])
 
 
 @dataclass(frozen=True, eq=False)
 class _Fold:
-    """A fit without the readings of one fold: the mask ``out`` (3 n,) of these, and their residuals ``left``.
+    """A fit without the readings of one fold: the mask ``out`` (3 n,) of these, and their residuals ``residual``.
 
     ``learnt`` and ``moment`` are its factored equations: one matrix a fold, not three.
     """
@@ -787,7 +787,7 @@ class _Fold:
     out: NDArray[np.bool_]
     learnt: Factored
     moment: Array
-    left: Array
+    residual: Array
 
 
 def _folds(fit: JointFit, fold: NDArray[np.intp]) -> list[_Fold]:
@@ -799,8 +799,8 @@ def _folds(fit: JointFit, fold: NDArray[np.intp]) -> list[_Fold]:
         for number in range(int(fold.max()) + 1):
             out = fold == number
             solver = (whole - NormalMatrix.of(rows[:, out], target[out])).with_priors(fit.precision, whole.scale)
-            left = target[out] - solver.solution @ rows[:, out]
-            found.append(_Fold(out, solver.factored, solver.normal.moment, left))
+            residual = target[out] - solver.solution @ rows[:, out]
+            found.append(_Fold(out, solver.factored, solver.normal.moment, residual))
         fit.derived[key] = found
     kept: list[_Fold] = fit.derived[key]
     return kept

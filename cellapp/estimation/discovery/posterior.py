@@ -1,11 +1,11 @@
 """Posterior probabilities of effects, from the final set of effects and the sets next to it.
 
-The sets are the final set S; S without one effect; S with a rival in an effect's place; and S with one further effect.
-A score is a gain of the Bayesian information criterion, twice the log of a Bayes factor. So relative to S
+The sets are the final set S; S without one effect; S with an alternative in an effect's place; and S with one further
+effect. A score is a gain of the Bayesian information criterion, twice the log of a Bayes factor. So relative to S
 
     ln weight = 0                            S,
                 -(score - threshold) / 2     S without an effect that has ``score`` beside all others,
-                -penalty / 2                 S with a rival in its place,
+                -penalty / 2                 S with an alternative in its place,
                 (score - threshold) / 2      S with a further effect.
 
 The threshold acts as the prior. With log prior odds of -threshold / 2 for each effect, an effect with a score at the
@@ -18,20 +18,21 @@ weights unless two differences are likely each; they are left out.
 
     p(e) = sum of the weights of sets that hold e / sum of all weights.
 
-Laws are only nearly right, and enough readings show that. A rival that scores less by D leaves a share m^2 of the sum
-of squares that the effect explains. This is either chance in the noise, at a penalty of D, or an error of the rival's
-law, at a penalty of m^2 / t^2 if the errors of laws in that direction are N(0, t^2) relative to their size:
+Laws are only nearly right, and enough readings show that. An alternative that scores less by D leaves a share m^2 of
+the sum of squares that the effect explains. This is either chance in the noise, at a penalty of D, or an error of the
+alternative's law, at a penalty of m^2 / t^2 if the errors of laws in that direction are N(0, t^2) relative to their
+size:
 
     penalty = 1 / (1 / D + t^2 / m^2).
 
-For an effect confounded with it, every error of its law has that direction. There t is the share that a free part of
-the law may have, 0.3, but no more than the readings would have shown: 10 over the effect's score. If the law is off, so
-that a free part was kept, t is the share that this part may miss: an error of t scores t^2 times as much as the effect,
-and 5 is needed.
+For an effect confounded with it, every error of its law has that direction. There t is the share that a discrepancy
+term of the law may have, 0.3, but no more than the readings would have shown: 10 over the effect's score. If the law is
+off, so that a discrepancy term was kept, t is the share that this part may miss: an error of t scores t^2 times as much
+as the effect, and 5 is needed.
 
-The residuals of other laws in S may likewise look like an effect. Its score is therefore taken beside their free parts,
-and its lead over the threshold is limited in the same way if a larger effect depends on the same variables. Rivals that
-tie share the probability.
+The residuals of other laws in S may likewise look like an effect. Its score is therefore taken beside their discrepancy
+terms, and its lead over the threshold is limited in the same way if a larger effect depends on the same variables.
+Alternatives that tie share the probability.
 
 The library may also lack the cause, and a name stand in for it. Before a search the odds of that are 1 to 9. A law that
 is right leaves little of what it removes. Let w = left / (left + removed) be the share of sums of squares, where left
@@ -68,14 +69,14 @@ from numpy.typing import NDArray
 from cellapp.estimation.design.information import SMALLEST, NuisanceProjector, visible_squares
 from cellapp.estimation.discovery.arm_data import UNKNOWN, ArmData, ModelTerm
 from cellapp.estimation.discovery.joint_fit import MOST_SHARE, JointFit, ProjectedResidual, cross_validated_gain
-from cellapp.estimation.discovery.search.free_part import (
+from cellapp.estimation.discovery.search.discrepancy_term import (
     CAUTIOUS_SHARE,
     LEAST_EVIDENCE,
     SHARES,
-    FreePart,
+    DiscrepancyTerm,
     are_confounded,
-    gain_beside_free_parts,
-    possible_free_parts,
+    gain_beside_discrepancies,
+    possible_discrepancies,
 )
 from cellapp.estimation.discovery.search.scan import NO_DISPLACEMENT, LawScan
 from cellapp.estimation.discovery.search.state import (
@@ -335,9 +336,10 @@ class Families:
         return found
 
 
-_LIKE_A_RIVAL = CAUTIOUS_SHARE / 10.0
+_LIKE_AN_ALTERNATIVE = CAUTIOUS_SHARE / 10.0
 """Error of a law, as a share of its effect, in the direction of one given alternative that is not confounded. Laws
-hold to some 10 %, but an error has many directions (a hundred of equal variance), and the rival's is one of them."""
+hold to some 10 %, but an error has many directions (a hundred of equal variance), and the alternative's is one of
+them."""
 _LIKE_ANOTHER = CAUTIOUS_SHARE / 2.0
 """Error of a law, as a share of its effect, that may look like another effect of the same variables with any values."""
 _ODDS_OUTSIDE = 1.0 / 9.0
@@ -375,7 +377,7 @@ def posteriors(
     coordinates: float,
     outside: Mapping[str, float] | None = None,
 ) -> Posteriors:
-    """Compute probabilities from the scores of a final set's terms, of their rivals, and of ``further`` effects.
+    """Compute probabilities from the scores of a final set's terms, of their alternatives, and of ``further`` effects.
 
     ``coordinates`` is the number of coordinates less the parameters of the final set. Several terms of one effect count
     as one, whose score is their sum; each data-driven term is an effect of its own. ``outside`` maps an effect to the
@@ -388,8 +390,8 @@ def posteriors(
         score = sum(review.score for review in own)
         sets.append(_Set(-(score - threshold) / 2.0, lacks=key))
         if len(own) == 1:
-            rivals = own[0].alternatives.items()
-            sets += [_Set(-_penalty(own[0], slug, rival, coordinates) / 2.0, key, slug) for slug, rival in rivals]
+            others = own[0].alternative_scores.items()
+            sets += [_Set(-_penalty(own[0], slug, other, coordinates) / 2.0, key, slug) for slug, other in others]
     sets += [_Set(log_odds, lacks=slug) for slug, log_odds in (outside or {}).items()]
     log_weights = np.array([one.log_weight for one in sets])
     weights = np.exp(log_weights - log_weights.max())
@@ -405,20 +407,21 @@ def posteriors(
     return Posteriors(terms, {**having, **named})
 
 
-def _penalty(own: Review, slug: str, rival: float, coordinates: float) -> float:
-    """Return the penalty of a rival in an effect's place, from its score there; negative if the rival scores more."""
-    if math.isinf(rival):
+def _penalty(own: Review, slug: str, other: float, coordinates: float) -> float:
+    """Return the penalty of an alternative in an effect's place, from its score there; negative if the alternative
+    scores more."""
+    if math.isinf(other):
         return math.inf
-    less, more = sorted((own.score, rival))
+    less, more = sorted((own.score, other))
     explained = -math.expm1(-max(more, 0.0) / coordinates)
-    left = math.exp(-less / coordinates) - math.exp(-more / coordinates)
-    if left <= 0.0:
+    remaining = math.exp(-less / coordinates) - math.exp(-more / coordinates)
+    if remaining <= 0.0:
         return 0.0
-    error = _LIKE_A_RIVAL
+    error = _LIKE_AN_ALTERNATIVE
     if more > 0.0 and are_confounded(own.term.slug, slug):
         unseen = math.sqrt(LEAST_EVIDENCE / more) if own.term.modulations else SCORE_MARGIN / more
         error = max(error, min(SHARES[-1], unseen))
-    return math.copysign(1.0 / (1.0 / (more - less) + error**2 * explained / left), own.score - rival)
+    return math.copysign(1.0 / (1.0 / (more - less) + error**2 * explained / remaining), own.score - other)
 
 
 def _log_odds_outside(found: SearchResult, reviews: Sequence[Review]) -> dict[str, float]:
@@ -426,8 +429,8 @@ def _log_odds_outside(found: SearchResult, reviews: Sequence[Review]) -> dict[st
 
     With few readings the evidence of such a cause counts too, relative to the effect's score in ``reviews``.
     """
-    fit, left = found.fit, scatter(found.data, found.fit)
-    beyond_noise = 0.0 if left is None else max(1.0 - left.ratio**-2, 0.0) * fit.projected_residual.square
+    fit, remaining = found.fit, scatter(found.data, found.fit)
+    beyond_noise = 0.0 if remaining is None else max(1.0 - remaining.ratio**-2, 0.0) * fit.projected_residual.square
     removed = grouped(
         (term.slug, fit.removed_square(number)) for number, term in enumerate(fit.terms) if term.is_library_effect
     )
@@ -470,12 +473,12 @@ def _key(review: Review, number: int) -> str:
 
 
 def cautious_reviews(found: SearchResult) -> tuple[Review, ...]:
-    """Return the reviews with scores beside the free parts of all other laws, which may be slightly off.
+    """Return the reviews with scores beside the discrepancy terms of all other laws, which may be slightly off.
 
-    Rivals lose as much as the effect they would replace.
+    Alternatives lose as much as the effect they would replace.
     """
     fit, cautious = found.fit, []
-    parts = [possible_free_parts(found.data, fit, number) for number in range(len(fit.terms))]
+    parts = [possible_discrepancies(found.data, fit, number) for number in range(len(fit.terms))]
     for number, review in enumerate(found.reviews):
         others = [part for other, own in enumerate(parts) if other != number for part in own]
         score = review.score
@@ -485,8 +488,8 @@ def cautious_reviews(found: SearchResult) -> tuple[Review, ...]:
         if score > found.threshold and share < math.inf:
             score = found.threshold + 1.0 / (1.0 / (score - found.threshold) + _LIKE_ANOTHER**2 / share)
         score = min(score, review.score - SCORE_MARGIN)
-        alternatives = {slug: rival - review.score + score for slug, rival in review.alternatives.items()}
-        cautious.append(replace(review, score=score, alternatives=alternatives))
+        alternative_scores = {slug: value - review.score + score for slug, value in review.alternative_scores.items()}
+        cautious.append(replace(review, score=score, alternative_scores=alternative_scores))
     return tuple(cautious)
 
 
@@ -509,12 +512,12 @@ def _share_of_a_larger(fit: JointFit, number: int) -> float:
     return least
 
 
-def _lost_beside(fit: JointFit, number: int, free_parts: Sequence[FreePart]) -> float:
-    """Return the score that a term loses beside free parts of the other laws."""
+def _lost_beside(fit: JointFit, number: int, discrepancies: Sequence[DiscrepancyTerm]) -> float:
+    """Return the score that a term loses beside discrepancy terms of the other laws."""
     kept, rows = fit.layout.all_but(number), fit.law_rows(number)
-    share = CAUTIOUS_SHARE / math.sqrt(len(free_parts))
-    nuisance = np.concatenate([fit.rows[kept], *(part.rows for part in free_parts)])
-    precision = np.concatenate([fit.precision[kept], *(1.0 / (share * part.sd) ** 2 for part in free_parts)])
+    share = CAUTIOUS_SHARE / math.sqrt(len(discrepancies))
+    nuisance = np.concatenate([fit.rows[kept], *(part.rows for part in discrepancies)])
+    precision = np.concatenate([fit.precision[kept], *(1.0 / (share * part.sd) ** 2 for part in discrepancies)])
     by_law = fit.term_values(number)[: len(rows)] @ rows
     behind = ProjectedResidual(NuisanceProjector.of(nuisance, precision), fit.target + by_law)
     return fit.residual_without(number).bic_gain(rows) - behind.bic_gain(rows)
@@ -529,14 +532,14 @@ def further_scores(found: SearchResult, scan: LawScan) -> dict[str, float]:
     """Return the score of every testable effect that is not in the final model, beside that model.
 
     For an effect that the search refused take the least of: its score with physically possible values, its score beside
-    the free parts of the laws in the model, its gain on left-out readings, and the threshold (not more probable than
-    not).
+    the discrepancy terms of the laws in the model, its gain on left-out readings, and the threshold (not more probable
+    than not).
     """
     fit, residual = found.fit, found.fit.projected_residual
     best = scan.best_of_each_effect(residual)
     scores = {score.slug: score.value for score in best}
     likely = [score for score in best if score.value > found.threshold - SCORE_MARGIN]
-    gain = gain_beside_free_parts(SearchState(found.data, fit)) if likely else None
+    gain = gain_beside_discrepancies(SearchState(found.data, fit)) if likely else None
     for score in likely:
         value = min(possible_score(residual, score), found.threshold)
         if gain is not None:

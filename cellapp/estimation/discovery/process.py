@@ -623,9 +623,9 @@ def _noise(data: ArmData, fit: JointFit, process: StructuredProcess) -> Excess:
     of what was fitted, which shares V (MacKay, Neural Comput. 4 (1992) 415). The quotient of both sides corrects v_k.
     """
     white = fit.white.transpose(2, 0, 1)
-    left, determined = _about(fit, process, len(data))
+    residual, determined = _about(fit, process, len(data))
     root = np.linalg.inv(white)
-    left, eye = np.einsum("nab,nb->na", root, left), np.eye(3)
+    residual, eye = np.einsum("nab,nb->na", root, residual), np.eye(3)
     angular = np.zeros(len(data), dtype=np.bool_) if data.angular is None else data.angular
     kinds = [np.where(rows[:, None, None], eye, 0.0) for rows in (~angular, angular)]
     if data.stated is not None:
@@ -633,7 +633,7 @@ def _noise(data: ArmData, fit: JointFit, process: StructuredProcess) -> Excess:
     by_joint = joint_motions(data)
     seen = _with_lever(by_joint)
     D = np.array([*kinds, *(by_joint[:, j].T[:, :, None] * by_joint[:, j].T[:, None] for j in seen)])
-    square = np.mean(left**2, axis=1)
+    square = np.mean(residual**2, axis=1)
     size = np.einsum("knaa->k", D) / np.maximum(np.count_nonzero(np.einsum("knaa->kn", D), axis=1), 1) / 3.0
     v = np.where(size > 0.0, float(np.mean(square[~angular])) / np.maximum(size, _SMALLEST) / len(D), 0.0)
     v[1] = float(np.mean(square[angular])) / 2.0 if angular.any() else 0.0
@@ -642,7 +642,7 @@ def _noise(data: ArmData, fit: JointFit, process: StructuredProcess) -> Excess:
     for _ in range(_NOISE_STEPS):
         V = np.einsum("k,knab->nab", v, D) + _LEAST_VARIANCE * eye
         root = np.linalg.cholesky(V)
-        S = left[:, :, None] * left[:, None] + root @ determined @ root.transpose(0, 2, 1)
+        S = residual[:, :, None] * residual[:, None] + root @ determined @ root.transpose(0, 2, 1)
         inverse = np.linalg.inv(V)
         weight = inverse @ S @ inverse
         v *= np.einsum("knab,nab->k", D, weight) / np.maximum(np.einsum("knab,nab->k", D, inverse), _SMALLEST)
@@ -663,10 +663,10 @@ def _about(fit: JointFit, process: StructuredProcess, n: int) -> tuple[Array, Ar
     half = scipy.linalg.solve_triangular(lower, projector.project(rows), lower=True, check_finite=False)
     half /= math.sqrt(noise)
     behind = fit.projected_residual.projected
-    left = behind - (half @ behind) @ half
+    residual = behind - (half @ behind) @ half
     half, basis = half.reshape(len(half), 3, n), projector.basis.reshape(3, n, -1)
     determined = np.einsum("man,mbn->nab", half, half) + np.einsum("anp,bnp->nab", basis, basis)
-    return left.reshape(3, n).T, determined
+    return residual.reshape(3, n).T, determined
 
 
 def _whole(candidates: Sequence[Component], screened: Sequence[Component]) -> list[Component]:

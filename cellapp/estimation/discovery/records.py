@@ -126,8 +126,9 @@ class AcceptedEffect(Record):
     """An effect that discovery added to the model, with its evidence.
 
     ``posterior`` is the probability that it is there; None where it was not computed. ``parameters`` are those of its
-    law. ``law_misfit`` is the rms displacement of the SMR by its smooth free part over that by its law, None where it
-    has no free part. ``movements`` are the joints or frames it acts on, that which moves the SMR most first.
+    law. ``law_misfit`` is the rms displacement of the SMR by its smooth discrepancy term over that by its law, None
+    where it has no discrepancy term. ``movements`` are the joints or frames it acts on, that which moves the SMR most
+    first.
     """
 
     effect: str
@@ -155,7 +156,7 @@ class AcceptedEffect(Record):
     @property
     def ruled_out(self) -> tuple[str, ...]:
         """Effects nearly as good that these data rule out."""
-        return tuple(rival.effect for rival in self.runners_up if rival.distinguishable)
+        return tuple(alternative.effect for alternative in self.runners_up if alternative.distinguishable)
 
 
 class SmallestSize(Record):

@@ -58,7 +58,7 @@ Pairs = tuple[NDArray[np.intp], NDArray[np.intp]]
 """Indices of the first and second reading of each pair."""
 
 
-def structure_left(data: ArmData, fit: JointFit) -> RemainingStructure:
+def residual_structure(data: ArmData, fit: JointFit) -> RemainingStructure:
     """Test a fit's residuals against all that the readings state; return the outcome in words.
 
     Each kind has several tests; its p-value is the smallest times their number (Bonferroni), at most 1.
@@ -343,21 +343,21 @@ def verdict(
         described = "; ".join(description.sentence for description in driven)
         return "unknown effect", f"{also}something that the library does not have: {described}"
     closed = scatter is not None and _gap_closed(floor_mm, after_mm, held_out, scatter)
-    left = _left(floor_mm, after_mm, scatter, structure, closed=closed)
+    remaining = _remaining(floor_mm, after_mm, scatter, structure, closed=closed)
     if nameless := unnamed is not None and unnamed.in_force:
-        left = f"{unnamed_words(unnamed)}; {left}"
+        remaining = f"{unnamed_words(unnamed)}; {remaining}"
     rest = has_structure(structure) or _far_off(scatter) or (bool(accepted) and scatter is not None)
     risen = bool(accepted) and after_mm >= errors.before
     if risen:
-        left = f"held-out errors did not fall; {left}"
+        remaining = f"held-out errors did not fall; {remaining}"
     if nameless or risen or (not closed and rest):
         found = f"{names} found{' (or one confounded with it)' if ambiguous else ''}, but " if accepted else ""
-        return "unknown effect", f"{found}the library does not explain all of the error; {left}"
+        return "unknown effect", f"{found}the library does not explain all of the error; {remaining}"
     if not accepted:
-        return "nothing missing", left if closed else f"no effect found; {left}"
+        return "nothing missing", remaining if closed else f"no effect found; {remaining}"
     if ambiguous:
-        return "ambiguous", f"{names}, or {_rivals(ambiguous)}: these data cannot distinguish them; {left}"
-    return "explained", f"{names}; {left}"
+        return "ambiguous", f"{names}, or {_confounded(ambiguous)}: these data cannot distinguish them; {remaining}"
+    return "explained", f"{names}; {remaining}"
 
 
 def unnamed_words(unnamed: Unnamed) -> str:
@@ -365,7 +365,7 @@ def unnamed_words(unnamed: Unnamed) -> str:
     return f"unnamed: {unnamed.rms_mm:.3f} mm rms, mostly {place_in_words(unnamed.acts_on)}"
 
 
-def _left(
+def _remaining(
     floor_mm: float, after_mm: float, scatter: FitScatter | None, structure: RemainingStructure, *, closed: bool
 ) -> str:
     """Describe the residual error in words."""
@@ -407,6 +407,6 @@ def _gap_closed(floor_mm: float, after_mm: float, held_out: int, scatter: FitSca
     return after_mm <= floor_mm * _FLOOR or (at_floor and (noise or scatter.ratio < _FLOOR))
 
 
-def _rivals(effects: Sequence[AcceptedEffect]) -> str:
+def _confounded(effects: Sequence[AcceptedEffect]) -> str:
     slugs = dict.fromkeys(slug for effect in effects for slug in effect.answer_set[1:])
     return " or ".join(EFFECTS[slug].title for slug in slugs)

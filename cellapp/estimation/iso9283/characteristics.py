@@ -168,9 +168,9 @@ def _require_cycles(values: Array) -> None:
 # distribution this is the coverage factor 2.
 
 _COVERAGE = 0.9545
-_DRAWS = 1000
+_SAMPLES = 1000
 """Number of draws: they give a standard deviation to 2 %."""
-_PATH_DRAWS = 200
+_PATH_SAMPLES = 200
 """Number of draws for a path, which has hundreds of times as many coordinates; its uncertainty is known to 5 %."""
 
 
@@ -205,52 +205,52 @@ class Cycles:
         """Covariance (3, 3) of the attained positions [m^2]."""
         return np.atleast_2d(np.cov(self.attained, rowvar=False))
 
-    def draws(self, rng: np.random.Generator) -> Array:
+    def samples(self, rng: np.random.Generator) -> Array:
         """Draw simulated cycles (D, n, 3) [m], without errors that all cycles share."""
-        noise = rng.multivariate_normal(np.zeros(3), self.scatter, size=(_DRAWS, self.n), method="eigh")
-        return np.asarray(self.attained.mean(axis=0) + _widened(rng, self.n, (_DRAWS, 1, 1)) * noise)
+        noise = rng.multivariate_normal(np.zeros(3), self.scatter, size=(_SAMPLES, self.n), method="eigh")
+        return np.asarray(self.attained.mean(axis=0) + _widened(rng, self.n, (_SAMPLES, 1, 1)) * noise)
 
     def common(self, rng: np.random.Generator) -> Array:
         """Draw simulated errors (D, 1, 3) [m] that all cycles share."""
-        drawn = rng.multivariate_normal(np.zeros(3), self.tracker + self.frame, size=_DRAWS, method="eigh")
-        return np.asarray(drawn[:, None])
+        sampled = rng.multivariate_normal(np.zeros(3), self.tracker + self.frame, size=_SAMPLES, method="eigh")
+        return np.asarray(sampled[:, None])
 
 
 def accuracy_value(cycles: Cycles, rng: np.random.Generator) -> IsoValue:
     """Compute AP of one pose."""
-    drawn = pose_accuracy(cycles.draws(rng) + cycles.common(rng), cycles.commanded)
-    return _value(float(pose_accuracy(cycles.attained, cycles.commanded)), _expanded(drawn), cycles.n)
+    sampled = pose_accuracy(cycles.samples(rng) + cycles.common(rng), cycles.commanded)
+    return _value(float(pose_accuracy(cycles.attained, cycles.commanded)), _expanded(sampled), cycles.n)
 
 
 def repeatability_value(cycles: Cycles, rng: np.random.Generator) -> tuple[IsoValue, float]:
     """Compute RP of one pose, and the RP [m] that the tracker's stated uncertainty alone would show."""
     value = float(pose_repeatability(cycles.attained))
-    sampling = _expanded(pose_repeatability(cycles.draws(rng)))
-    alone = rng.multivariate_normal(np.zeros(3), cycles.tracker, size=(_DRAWS, cycles.n), method="eigh")
+    sampling = _expanded(pose_repeatability(cycles.samples(rng)))
+    alone = rng.multivariate_normal(np.zeros(3), cycles.tracker, size=(_SAMPLES, cycles.n), method="eigh")
     tracker = float(pose_repeatability(alone).mean())
     return _value(value, _with_tracker(value, sampling, tracker), cycles.n), tracker
 
 
 def directional_value(directions: Sequence[Cycles], rng: np.random.Generator) -> IsoValue:
     """Compute vAP of one pose from its directions of approach; the tracker's error is the same for all of them."""
-    drawn = np.stack([one.draws(rng).mean(axis=1, keepdims=True) for one in directions], axis=1)
+    sampled = np.stack([one.samples(rng).mean(axis=1, keepdims=True) for one in directions], axis=1)
     means = np.stack([one.attained.mean(axis=0, keepdims=True) for one in directions])
-    return _value(float(directional_variation(means)), _expanded(directional_variation(drawn)), _fewest(directions))
+    return _value(float(directional_variation(means)), _expanded(directional_variation(sampled)), _fewest(directions))
 
 
 def distance_values(first: Cycles, second: Cycles, rng: np.random.Generator) -> tuple[IsoValue, IsoValue]:
     """Compute AD and RD of two positions that were attained in the same cycles."""
     wanted = float(np.linalg.norm(second.commanded - first.commanded))
-    drawn = [one.draws(rng) for one in (first, second)]
+    sampled = [one.samples(rng) for one in (first, second)]
     shared = [one.common(rng) for one in (first, second)]
     found = distances(first.attained, second.attained)
     accuracy = float(distance_accuracy(first.attained, second.attained, wanted))
-    off = _expanded(distance_accuracy(drawn[0] + shared[0], drawn[1] + shared[1], wanted))
+    off = _expanded(distance_accuracy(sampled[0] + shared[0], sampled[1] + shared[1], wanted))
     repeatability = float(distance_repeatability(first.attained, second.attained))
     along = second.attained.mean(axis=0) - first.attained.mean(axis=0)
     along = along / max(float(np.linalg.norm(along)), 1e-12)
     tracker = 3.0 * float(np.sqrt(along @ (first.tracker + second.tracker) @ along))
-    again = found.std(ddof=1) * _widened(rng, len(found), (_DRAWS, 1)) * rng.standard_normal((_DRAWS, len(found)))
+    again = found.std(ddof=1) * _widened(rng, len(found), (_SAMPLES, 1)) * rng.standard_normal((_SAMPLES, len(found)))
     sampling = _expanded(3.0 * again.std(axis=1, ddof=1))
     return (
         _value(accuracy, off, first.n),
@@ -260,13 +260,13 @@ def distance_values(first: Cycles, second: Cycles, rng: np.random.Generator) -> 
 
 def drift_values(groups: Sequence[Cycles], rng: np.random.Generator) -> tuple[IsoValue, IsoValue]:
     """Compute dAP and dRP of groups of cycles in order of time; the tracker's error is the same in all of them."""
-    drawn = [one.draws(rng) for one in groups]
+    sampled = [one.samples(rng) for one in groups]
     shared = groups[0].common(rng)
     accuracy = partial(pose_accuracy, commanded=groups[0].commanded)
     values = []
     for formula, offset in ((accuracy, shared), (pose_repeatability, np.zeros((1, 1, 3)))):
         measured = drift(np.array([formula(one.attained) for one in groups]))
-        simulated = drift(np.stack([formula(one + offset) for one in drawn], axis=-1))
+        simulated = drift(np.stack([formula(one + offset) for one in sampled], axis=-1))
         values.append(_value(float(measured), _expanded(simulated), _fewest(groups)))
     return values[0], values[1]
 
@@ -289,14 +289,14 @@ def path_values(
     mean = attained.mean(axis=1, keepdims=True)
     deviations = attained - mean
     root = np.sqrt(np.einsum("mna,mna->ma", deviations, deviations) / (n - 1))
-    widened = _widened(rng, n, (_PATH_DRAWS, 1, 1, 1))
-    drawn = mean + widened * root[:, None] * rng.standard_normal((_PATH_DRAWS, m, n, 3))
-    shared = rng.multivariate_normal(np.zeros(3), tracker + frame, size=(_PATH_DRAWS, 1, 1), method="eigh")
+    widened = _widened(rng, n, (_PATH_SAMPLES, 1, 1, 1))
+    paths = mean + widened * root[:, None] * rng.standard_normal((_PATH_SAMPLES, m, n, 3))
+    shared = rng.multivariate_normal(np.zeros(3), tracker + frame, size=(_PATH_SAMPLES, 1, 1), method="eigh")
     accuracy, repeatability = float(path_accuracy(attained, commanded)), float(path_repeatability(attained))
-    alone = rng.multivariate_normal(np.zeros(3), tracker, size=(_PATH_DRAWS, n), method="eigh")
-    sampling = _expanded(path_repeatability(drawn))
+    alone = rng.multivariate_normal(np.zeros(3), tracker, size=(_PATH_SAMPLES, n), method="eigh")
+    sampling = _expanded(path_repeatability(paths))
     inflated = _with_tracker(repeatability, sampling, float(pose_repeatability(alone).mean()))
-    return _value(accuracy, _expanded(path_accuracy(drawn + shared, commanded)), n), _value(repeatability, inflated, n)
+    return _value(accuracy, _expanded(path_accuracy(paths + shared, commanded)), n), _value(repeatability, inflated, n)
 
 
 def _with_tracker(value: float, sampling: float, tracker: float) -> float:
@@ -310,8 +310,8 @@ def _widened(rng: np.random.Generator, n: int, shape: tuple[int, ...]) -> Array:
     return np.asarray(np.sqrt((n - 1) / rng.chisquare(n - 1, shape)))
 
 
-def _expanded(drawn: Array) -> float:
-    return float(np.quantile(np.abs(drawn - np.median(drawn)), _COVERAGE))
+def _expanded(sampled: Array) -> float:
+    return float(np.quantile(np.abs(sampled - np.median(sampled)), _COVERAGE))
 
 
 def _value(value: float, expanded: float, n: int) -> IsoValue:

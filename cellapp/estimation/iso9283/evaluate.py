@@ -345,7 +345,7 @@ _SAME_STRETCH_M = 0.02
 """Distance up to which a crossing belongs to its point: no arm is farther off, but the far side of a closed path is."""
 _MIDDLE = (0.25, 0.75)
 """Shares of a path's length between which the velocity is evaluated: no ramp reaches there."""
-_DRAWS = 200
+_SAMPLES = 200
 
 
 @dataclass(frozen=True, eq=False)
@@ -443,7 +443,7 @@ def _velocity(runs: PathRuns, times: Array, rng: np.random.Generator) -> PathVel
     n, s = len(times), runs.s[middle]
     found = speeds(times[:, middle], s)
     sigma_m = float(np.sqrt(np.einsum("ma,ab,mb->m", runs.tangents_M, runs.tracker, runs.tangents_M).mean()))
-    noise_s = sigma_m / runs.speed * rng.standard_normal((_DRAWS, 1, len(s)))
+    noise_s = sigma_m / runs.speed * rng.standard_normal((_SAMPLES, 1, len(s)))
     even = (s - s[0]) / runs.speed
     alone = [velocity_fluctuation(speeds(even + noise, s)) for noise in noise_s]
     scatter = velocity_repeatability(found, runs.speed) / 3.0

@@ -19,6 +19,15 @@ from cellapp.estimation.monitoring.belief import (
     SequentialState,
     measured_vectors,
 )
+from cellapp.estimation.monitoring.causes import (
+    NOT_EXPLAINED,
+    Cause,
+    Design,
+    Explanation,
+    MinPValueTest,
+    explain,
+    log_valid,
+)
 from cellapp.estimation.monitoring.linear import (
     Moments,
     StopRows,
@@ -29,15 +38,6 @@ from cellapp.estimation.monitoring.linear import (
     motions,
     stop_rows,
     visibility,
-)
-from cellapp.estimation.monitoring.naming import (
-    NOT_EXPLAINED,
-    Cause,
-    Design,
-    Explanation,
-    MinPValueTest,
-    explain,
-    log_valid,
 )
 from cellapp.estimation.monitoring.records import CheckedArm, CheckResult, CheckVerdict, FoundChange, WeakChange
 from cellapp.estimation.readings import Readings, joined
@@ -240,7 +240,7 @@ def _change(design: Design, cause: Cause) -> FoundChange:
         p_value=cause.p_value,
         moved_mm=moved_m(design, cause, None) * 1e3,
         turned_mrad=_rotation_mrad(design, cause),
-        rivals=cause.rivals,
+        rivals=cause.confounded,
     )
 
 
@@ -304,9 +304,9 @@ def _notes(
     design: Design, found: Explanation, weak: Sequence[WeakChange], verdict: CheckVerdict, stray: int | None
 ) -> tuple[str, ...]:
     notes = [
-        f"the stops do not tell {design.name_of(cause.alternative)} from {', '.join(cause.rivals)}"
+        f"the stops do not tell {design.name_of(cause.alternative)} from {', '.join(cause.confounded)}"
         for cause in found.causes
-        if cause.rivals
+        if cause.confounded
     ]
     if stray is not None:
         notes.append(
@@ -432,6 +432,6 @@ def judged(design: Design, stops: StopRows, planned: int, before: SequentialStat
 
 
 def _named(design: Design, stops: StopRows) -> bool:
-    """Return whether the changes explain the stops and no rivals remain that more stops could exclude."""
+    """Return whether the changes explain the stops and no alternatives remain that more stops could exclude."""
     found = explain(design, stops)
-    return found.holds and not any(cause.open_rivals for cause in found.causes)
+    return found.holds and not any(cause.undecided for cause in found.causes)

@@ -27,7 +27,7 @@ from cellapp.estimation.calibration.calibrate import (
     without,
 )
 from cellapp.estimation.calibration.identification import start_from_nominal
-from cellapp.estimation.calibration.learning import require_learner
+from cellapp.estimation.calibration.network_training import require_learner
 from cellapp.estimation.calibration.quantities import (
     ArmReadings,
     conditions_of_arms,
@@ -59,14 +59,14 @@ from cellapp.estimation.motion.identify import (
     no_gross_errors,
 )
 from cellapp.estimation.motion.laws import Law, TimedPath
-from cellapp.estimation.motion.observe import Stops
-from cellapp.estimation.motion.steps import MotionEffect
+from cellapp.estimation.motion.residuals import Stops
+from cellapp.estimation.motion.search_state import MotionEffect
 from cellapp.estimation.motion.streams import Recording
 from cellapp.estimation.readings import SPLITS, Readings, coordinate_uncertainty, stated_uncertainty
 from cellapp.estimation.readings.readings import joined
 from cellapp.ground.errors import InputError, with_not_fitted
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import UNTOLD, CancelToken, JobSteps, Listener, Progress, Told, ignore, ignore_words
+from cellapp.ground.progress import UNATTENDED, UNTOLD, JobSteps, JobToken, Told, ignore_words
 from cellapp.ground.results import ErrorSummary, Estimate, Stage, StageErrors
 from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
 from cellapp.robot.kinematics.chain import Geometry, smr_positions
@@ -90,8 +90,7 @@ def calibrate_with_motion(
     profile: Profile,
     readings: Mapping[str, Readings],
     recordings: Mapping[str, Sequence[Recording]],
-    listener: Listener = ignore,
-    cancel: CancelToken | None = None,
+    job: JobToken = UNATTENDED,
 ) -> tuple[CellCalibration, dict[str, Readings]]:
     """Calibrate a cell: arms with ``recordings`` from these and their readings, others from readings with random
     splits. Return also samples (as readings) of the recorded arms.
@@ -103,18 +102,17 @@ def calibrate_with_motion(
     Cancelled
         If the token says so.
     """
-    cancel = cancel or CancelToken()
     known: dict[str, ArmCalibration] = {}
     samples: dict[str, Readings] = {}
     notes: list[str] = []
     require_learner(profile.network)
-    for name, its, told in each_recorded(recordings, listener, cancel):
+    for name, its, told in each_recorded(recordings, job):
         fit, arm = calibrate_arm_with_motion(profile, name, readings[name], its, told)
         if profile.network.kind == "batches":
-            arm = train_arm_in_motion(profile, arm, readings[name], fit, cancel, told)
+            arm = train_arm_in_motion(profile, arm, readings[name], fit, job, told)
         known[name] = arm
         samples[name] = samples_of(fit, len(profile.arms[name].type.joints))
-    found = calibrate_readings(profile, readings, listener, cancel, known=known)
+    found = calibrate_readings(profile, readings, job, known=known)
     if found.pair is None and len(known) == len(profile.arms) == 2:
         T_M_first, T_M_second = (arm.model.geometry.T_M_B() for arm in found.arms.values())
         first, second = profile.arms
@@ -125,18 +123,18 @@ def calibrate_with_motion(
 
 
 def each_recorded(
-    recordings: Mapping[str, Sequence[Recording]], listener: Listener, cancel: CancelToken
+    recordings: Mapping[str, Sequence[Recording]], job: JobToken
 ) -> Iterator[tuple[str, Sequence[Recording], Told]]:
     """Yield each recorded arm with its recordings and a message callback, which raises ``Cancelled`` on request."""
     moved = {name: its for name, its in recordings.items() if its}
     for number, (name, its) in enumerate(moved.items()):
 
         def told(words: str, done: int = number, arm: str = name) -> None:
-            cancel.check()
-            listener(Progress("recordings of motion", done, len(moved), f"arm {arm}: {words}"))
+            job.check()
+            job.tell("recordings of motion", done, len(moved), f"arm {arm}: {words}")
 
         yield name, its, told
-    listener(Progress("recordings of motion", len(moved), len(moved), "done"))
+    job.tell("recordings of motion", len(moved), len(moved), "done")
 
 
 def recorded_arm(profile: Profile, name: str, readings: Readings, recordings: Sequence[Recording]) -> RecordedArm:
@@ -304,7 +302,7 @@ _Residuals = tuple[Array, Array]
 
 
 def train_arm_in_motion(
-    profile: Profile, arm: ArmCalibration, readings: Readings, fit: MotionFit, cancel: CancelToken, told: Told
+    profile: Profile, arm: ArmCalibration, readings: Readings, fit: MotionFit, job: JobToken, told: Told
 ) -> ArmCalibration:
     """Train a network for an arm on all points of its recordings outside held-out blocks, and on those of its
     ``readings`` at rest that may teach. Its held-out errors are at rest if it has such readings, else in motion.
@@ -319,7 +317,7 @@ def train_arm_in_motion(
         parts = [(stops.q, stops.p_M - arm.model.predict(stops.q, conditions=loaded)), *parts]
     q, off_M = _joined(parts)
     in_order = np.arange(float(len(q)))  # in order of time in each recording, by which blocks are cut
-    arm = with_networks(profile, arm, q, off_M, in_order, JobSteps(lambda _, words: told(words), cancel))
+    arm = with_networks(profile, arm, q, off_M, in_order, JobSteps(lambda _, words: told(words), job))
     if arm.model.network is None:
         return arm
     q, off_M = _held_out(arm, readings, fit)

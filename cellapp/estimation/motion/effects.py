@@ -9,7 +9,7 @@ a motion is slow and dense lines are fast. The final filter of a law is estimate
 it, they contain its effect, and their filter treats that as noise. P-values are multiplied by the number of
 alternatives. Held-out errors are those of fits without a filter. The mean lag of the joints is indistinguishable from a
 clock offset: lags are stated relative to their mean, which the offset absorbs. A joint that accelerations turn against
-the sense of a spring lags by a time constant. Vibration is searched when no other law is left (``steps``).
+the sense of a spring lags by a time constant. Vibration is searched when no other law is left (``search_state``).
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from cellapp.estimation.calibration.least_squares import solve_psd
 from cellapp.estimation.motion.fit import Fittings, Solution, Source, allow_for_missing, normal_equations, solve
 from cellapp.estimation.motion.identify import MotionFit, RecordedArm, held_out_rms_mm, motion_fit, motion_problem
 from cellapp.estimation.motion.laws import Fading, JointLaws, JointTerm, Knee, Law, of_all_joints, state_in_motion
-from cellapp.estimation.motion.observe import residuals, whitening_filter
-from cellapp.estimation.motion.steps import (
+from cellapp.estimation.motion.residuals import residuals, whitening_filter
+from cellapp.estimation.motion.search_state import (
     CONFOUNDED,
     FREQUENCIES,
     ONLY_MOTION,
@@ -472,8 +472,8 @@ class _Search:
             if judged is None:
                 continue
             if (_AS_WELL if step.law in ONLY_MOTION else 1.0) * judged.heldout_mm < state.heldout_mm:
-                rivals = [one.log_p for _, _, one in likely if {one.law, step.law} == set(CONFOUNDED)]
-                return judged, replace(step, after_mm=judged.heldout_mm, rival=min(rivals, default=math.inf))
+                confounded = [one.log_p for _, _, one in likely if {one.law, step.law} == set(CONFOUNDED)]
+                return judged, replace(step, after_mm=judged.heldout_mm, other_log_p=min(confounded, default=math.inf))
         return None
 
     def _terms_to_try(

@@ -3,7 +3,7 @@
     minimise  sum_s w_s sum_i c_i |p_i - P(q(u_i) - h d_i; g)|^2 + priors
 
 over the recordings (and the stops) s. The weight w_s of a source is the information in one of its points: the inverse
-of the residuals' variance at the frequencies at which the parameters move the points (``observe``). So 100 000 points
+of the residuals' variance at the frequencies at which the parameters move the points (``residuals``). So 100 000 points
 that are worth a thousand independent ones weigh as a thousand beside stops and priors. c_i is one, or zero for gross
 errors. A first fit of a subset with robust weights comes so close that one or two steps with all points suffice.
 
@@ -46,7 +46,7 @@ from cellapp.estimation.calibration.least_squares import (
 )
 from cellapp.estimation.calibration.parameters import PriorSpread
 from cellapp.estimation.motion.laws import JointTerm, Law, Masses
-from cellapp.estimation.motion.observe import (
+from cellapp.estimation.motion.residuals import (
     Bands,
     Layout,
     Model,

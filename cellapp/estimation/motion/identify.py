@@ -23,7 +23,7 @@ from cellapp.estimation.calibration.parameters import (
 from cellapp.estimation.calibration.records import ClockResult, ClockSegmentResult, RecordingResult
 from cellapp.estimation.motion.fit import GROSS, Fittings, Solution, allow_for_missing, solve, thinned
 from cellapp.estimation.motion.laws import JointTerm, Law, Masses
-from cellapp.estimation.motion.observe import Layout, Model, Stops, residuals
+from cellapp.estimation.motion.residuals import Layout, Model, Stops, residuals
 from cellapp.estimation.motion.streams import Recording
 from cellapp.estimation.motion.tracks import Track, track_of
 from cellapp.ground.errors import InputError

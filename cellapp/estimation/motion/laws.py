@@ -38,7 +38,7 @@ from numpy.typing import NDArray
 
 from cellapp.estimation.motion.streams import JointStream, Stamps, read_stamps
 from cellapp.robot.effects import MotionLaw
-from cellapp.robot.effects.backlash import left_by_motion
+from cellapp.robot.effects.backlash import share_after_motion
 from cellapp.robot.effects.joint_compliance import KNEE, SOFTER
 from cellapp.robot.effects.law import Constant
 from cellapp.robot.kinematics.chain import Geometry, frame_poses
@@ -584,7 +584,7 @@ class JointTerm:
         if isinstance(self.law, MotionLaw):
             return self.law.offset(self.parameter, j, state.quantity)
         if self.law in (Law.PLAY, Law.WINDUP):
-            side = state.direction[:, j] if self.fading is None else state.left(j, self.fading)
+            side = state.direction[:, j] if self.fading is None else state.remaining(j, self.fading)
             return np.asarray(-side * np.abs(state.torque[:, j]) if self.law is Law.WINDUP else -side)
         if self.law is Law.LAG:
             return np.asarray(-state.qd[:, j])
@@ -632,7 +632,7 @@ class JointState:
     course: tuple[TimedPath, Array] | None = None
     step: Array | None = None
 
-    def left(self, joint: int, fading: Fading) -> Array:
+    def remaining(self, joint: int, fading: Fading) -> Array:
         """Return the lost motion (n,) that a joint has not yet taken up, against its direction. At rest it is computed
         as if starting from the middle, as the state before the last motion is unknown."""
         if self.course is not None:
@@ -640,7 +640,7 @@ class JointState:
         if self.step is None:
             return np.zeros(len(self.q))
         return np.asarray(
-            self.direction[:, joint] * left_by_motion(self.step[:, joint], fading.reach, bell=fading.bell)
+            self.direction[:, joint] * share_after_motion(self.step[:, joint], fading.reach, bell=fading.bell)
         )
 
     @cached_property

@@ -308,7 +308,7 @@ def track_of(recording: Recording, nominal: Geometry, *, tool_unknown: bool, see
     )
     track = _with_segment_starts(track, usual & known, nominal, tool_unknown, where)
     validate, guard = (
-        _drawn(time, known, seed) if held_out is None else (held_out[stamps.rows], np.zeros(len(time), bool))
+        _sampled(time, known, seed) if held_out is None else (held_out[stamps.rows], np.zeros(len(time), bool))
     )
     learnt = known & ~validate & ~guard
     if learnt.sum() < _LEAST_POINTS:
@@ -359,7 +359,7 @@ def _with_segment_starts(
     return replace(track, offsets_s=offsets)
 
 
-def _drawn(time: Array, known: NDArray[np.bool_], seed: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def _sampled(time: Array, known: NDArray[np.bool_], seed: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Return masks of the points in randomly held-out blocks of time, and of those beside such a block. The blocks
     divide the time between the first and the last point at which the joints are ``known``."""
     first, last = time[known][[0, -1]] if known.any() else time[[0, -1]]

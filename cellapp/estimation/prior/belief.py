@@ -405,7 +405,7 @@ def sizes(profile: Profile, model: ArmModel, measured: Measured) -> Array:
     first = 0
     for term in model.effects:
         last = first + len(term.names)
-        if term.modulations:  # the prior of a free part is not stored: its own size replaces it
+        if term.modulations:  # the prior of a discrepancy term is not stored: its own size replaces it
             free = slice(last - len(term.modulations), last)
             of_terms[free] = math.sqrt(float(np.mean(term.values[len(term.law_names) :] ** 2))) + _LEAST_SD
         first = last

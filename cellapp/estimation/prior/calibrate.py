@@ -39,7 +39,7 @@ from cellapp.ground.results import ModelStage
 from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions, place_in_words
 from cellapp.robot.kinematics.transforms import Array, quaternions_of
 from cellapp.robot.model import ArmModel
-from cellapp.robot.model.model import PosteriorDraws
+from cellapp.robot.model.model import PosteriorSamples
 
 # -- Earlier calibration of an arm: its belief and its origin ---------------------------------------------------------
 
@@ -99,7 +99,7 @@ def _first_prior(model: ArmModel, size: Array) -> Prior:
     return Prior(candidate_columns(model.geometry), model.nominal, np.zeros(len(size)), np.diag(precision))
 
 
-_DRAW_SEED = 0x51D2
+_SAMPLE_SEED = 0x51D2
 """Combined with the profile's seed, so that the draws of parameters are independent of all other draws."""
 
 
@@ -189,19 +189,19 @@ def stated_model(found: Posterior, seed: int) -> ArmModel:
             kept += range(here.start, here.start + len(term.law_names))
             names += term.law_names
         first = here.stop
-    draws = PosteriorDraws.of_covariance(
+    samples = PosteriorSamples.of_covariance(
         columns=found.prior.columns,
         sizes=[len(term.names) for term in model.effects],
         covariance=found.covariance,
         noise=readings_noise(found.measured.sigma, found.measured.angular),
-        seed=(seed, _DRAW_SEED),
+        seed=(seed, _SAMPLE_SEED),
     )
     return replace(
         model,
         effects=tuple(effects),
         identified=tuple(names),
         covariance=found.covariance[np.ix_(kept, kept)],
-        posterior=draws,
+        posterior=samples,
     )
 
 
@@ -261,8 +261,8 @@ class SearchWithPriors:
             belief = update(learn, its.belief, its.since, terms).belief
             known = replace(final, effects=final.effects[: len(belief.terms)])
             bare = replace(known, effects=(), network=None, posterior=None, nominal=belief.geometry(model.nominal))
-            left = without_effects(known, arm.readings, arm.conditions)
-            found = discover_arm(replace(arm, model=bare, readings=left), steps, belief.sigma())
+            adjusted = without_effects(known, arm.readings, arm.conditions)
+            found = discover_arm(replace(arm, model=bare, readings=adjusted), steps, belief.sigma())
             terms = found.terms
             if not terms:
                 final = model

@@ -271,20 +271,20 @@ def candidates(belief: Belief, columns: Sequence[EffectColumn]) -> list[Candidat
 
 
 def change_of(
-    belief: Belief, one: Candidate, found: UpdateFit, rows: Array, rivals: Sequence[str], since: str, tested: int
+    belief: Belief, one: Candidate, found: UpdateFit, rows: Array, alternatives: Sequence[str], since: str, tested: int
 ) -> SignatureChange:
     """Describe a proven change; ``rows`` (r, d) [m] are the derivatives of the SMR coordinates by its parameters."""
     part = belief.parts[int(one.places[0])]
     moved = float(np.sqrt(3.0 * np.mean((found.values @ rows) ** 2))) * 1e3
     errors = np.sqrt(np.diag(found.covariance))
     gone = part == "effects" and bool(np.all(np.abs(belief.mean[one.places] + found.values) <= _GONE * errors))
-    after = f"; as likely: {', '.join(rivals)}" if rivals else ""
+    after = f"; as likely: {', '.join(alternatives)}" if alternatives else ""
     change = SignatureChange(
         what=one.what,
         part=part,
         evidence=2.0 * found.gain,
         moved_mm=moved,
-        rivals=tuple(rivals),
+        rivals=tuple(alternatives),
         sentence=f"{one.what} {'vanished' if gone else 'changed'} since {since}: {moved:.3f} mm rms at the SMR"
         f" (evidence {2.0 * found.gain:.0f}){after}",
     )
@@ -422,25 +422,25 @@ def _changed(
         problem = replace(problem, drift={})
         return belief, problem.drifts(), [], 0
     columns = term_columns(model, judged)
-    left = candidates(belief, columns)
-    tested, needed = len(left), SURE + math.log(max(len(left), 1))
+    remaining = candidates(belief, columns)
+    tested, needed = len(remaining), SURE + math.log(max(len(remaining), 1))
     drifts = problem.drifts()
     variance = np.zeros(len(belief.mean))
     changes: list[SignatureChange] = []
-    while len(changes) < _MOST_CHANGES and left:
-        estimates = problem.estimates(drifts, left)
+    while len(changes) < _MOST_CHANGES and remaining:
+        estimates = problem.estimates(drifts, remaining)
         best = int(np.argmax([one.gain for one in estimates]))
-        chosen = left[best]
+        chosen = remaining[best]
         jumped = problem.jumped(chosen)
         after = jumped.drifts(drifts)
         if after.log_likelihood - drifts.log_likelihood < needed:
             break
         # drifts shrink once the jump is allowed for: judge it beside them
-        again = problem.estimates(after, left)
+        again = problem.estimates(after, remaining)
         rows = problem.rows[chosen.places]
-        changes.append(change_of(belief, chosen, again[best], rows, alike(left, again, best), since, tested))
+        changes.append(change_of(belief, chosen, again[best], rows, alike(remaining, again, best), since, tested))
         variance[chosen.places] += chosen.sd**2
-        left = left[:best] + left[best + 1 :]
+        remaining = remaining[:best] + remaining[best + 1 :]
         problem, drifts = jumped, after
     for part, size in drifts.of_parts.items():
         variance += size**2 * _units(belief, part) ** 2

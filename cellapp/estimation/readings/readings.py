@@ -612,12 +612,12 @@ def first_stops(readings: Mapping[str, Readings]) -> tuple[dict[int, int], tuple
         q[np.searchsorted(numbers, its.configuration), end - its.joints : end] = its.q
     group, count = undivided(q), int(repeats(q).max()) + 1
     first = numbers[np.unique(group, return_index=True)[1]][group]
-    drawn = int(group.max()) + 1
+    sampled = int(group.max()) + 1
     note = (
         f"most of the {counted(count, 'configuration')} have a neighbour within {_NEAR} in every joint, as along a line"
-        f" or on a grid: rows were held out by whole neighbourhoods, of which there are {drawn}"
+        f" or on a grid: rows were held out by whole neighbourhoods, of which there are {sampled}"
     )
-    return dict(zip(numbers.tolist(), first.tolist(), strict=True)), (note,) if drawn < count else ()
+    return dict(zip(numbers.tolist(), first.tolist(), strict=True)), (note,) if sampled < count else ()
 
 
 def one_a_stop(readings: Readings) -> Readings:

@@ -18,7 +18,7 @@ from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.chain import flange_poses
 from cellapp.robot.kinematics.transforms import Array, rotation_vectors, twist_columns
 from cellapp.robot.model import ArmModel
-from cellapp.robot.model.model import PosteriorDraws
+from cellapp.robot.model.model import PosteriorSamples
 
 MOST_CONFIGURATIONS = 200
 """Largest number of readings whose configurations decide what is common."""
@@ -95,7 +95,7 @@ def divided(
     usual = MeasurementConditions(
         payload_kg=None if conditions.payload_kg is None else np.full(len(known), conditions.payload_kg[0])
     )
-    moved, rotated = ([draws(at_tcp, known, usual), draws(at_tcp, q, conditions)] for draws in (_moved, _rotated))
+    moved, rotated = ([samples(at_tcp, known, usual), samples(at_tcp, q, conditions)] for samples in (_moved, _rotated))
     judge = correction or _nothing
     corrected = judge(known, usual), judge(q, conditions)
     shifts, rotations = ([its[part][None] for its in corrected] for part in (0, 1))
@@ -127,7 +127,7 @@ def divided(
     )
 
 
-def _with_tcp(arm: ArmModel, posterior: PosteriorDraws, tcp: Array) -> ArmModel:
+def _with_tcp(arm: ArmModel, posterior: PosteriorSamples, tcp: Array) -> ArmModel:
     """Return the arm with the TCP in place of the SMR; draws of the SMR's offset do not move another TCP."""
     of_tool = np.array(posterior.columns) >= 6 + 5 * arm.geometry.joints
     of_tool &= not np.array_equal(tcp, arm.geometry.tool)
@@ -151,9 +151,9 @@ def _rotated(arm: ArmModel, q: Array, conditions: MeasurementConditions) -> Arra
     columns = list(arm.posterior.columns)
     own = flange_poses(arm.geometry, q)[0].transpose(0, 2, 1)
     found = []
-    for draw in arm.posterior.geometry:
+    for sample in arm.posterior.geometry:
         vector = arm.geometry.vector()
-        vector[columns] += draw
+        vector[columns] += sample
         found.append(rotation_vectors(flange_poses(arm.geometry.with_vector(vector), q)[0] @ own))
     return np.array(found)
 
@@ -175,16 +175,16 @@ def beyond(shift: Array, rotation: Array, own: Array, own_rotation: Array) -> ND
     return np.asarray((shift > _LENGTH_95 * own) | (rotation > _LENGTH_95 / np.sqrt(3.0) * own_rotation))
 
 
-def _beyond(values: Array, draws: Array) -> bool:
+def _beyond(values: Array, samples: Array) -> bool:
     """Return whether values (k, 1) are not a likely one of the draws (k, S) about zero."""
-    covariance = draws @ draws.T / draws.shape[1] + _LEAST**2 * np.eye(len(draws))
+    covariance = samples @ samples.T / samples.shape[1] + _LEAST**2 * np.eye(len(samples))
     distance = float(values[:, 0] @ np.linalg.solve(covariance, values[:, 0]))
     return distance > _CHI2_95[len(values)]
 
 
-def _common(columns: list[Array], draws: list[Array]) -> tuple[Array, Array]:
+def _common(columns: list[Array], samples: list[Array]) -> tuple[Array, Array]:
     """Return the common part (k, S) by the readings' configurations, and what is left (S, n, 3) at the targets."""
-    (known, here), (of_known, of_here) = columns, draws
+    (known, here), (of_known, of_here) = columns, samples
     wanted = of_known.reshape(len(of_known), -1).T
     common = np.asarray(np.linalg.lstsq(known.reshape(-1, known.shape[2]), wanted, rcond=None)[0], dtype=np.float64)
     return common, np.asarray(of_here - np.einsum("nck,ks->snc", here, common))

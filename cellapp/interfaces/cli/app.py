@@ -7,10 +7,10 @@ from functools import cache
 
 from cellapp.commands.registry import ALL, PANEL, name_of, records
 from cellapp.interfaces.cli.command_outputs import Commands
-from cellapp.interfaces.cli.derived import add_verb
 from cellapp.interfaces.cli.program import run_program
 from cellapp.interfaces.cli.top import add_requests, top
 from cellapp.interfaces.cli.trials import trials_app
+from cellapp.interfaces.cli.verb_commands import add_verb
 
 _TRIALS = "trials"
 

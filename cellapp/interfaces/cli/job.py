@@ -48,7 +48,7 @@ class CommandJob:
         called.check()
         self._filled = called.filled
         self.outputs = called.outputs
-        self.control = JobControl()
+        self.control = JobControl(self.listen)
         self._json_file = json_file
         self._bars: Any = None
         self._tasks: dict[str, Any] = {}

@@ -1,4 +1,4 @@
-"""Fast path of ``stop`` and ``job pause``, ``resume``, ``abort`` from a shell. Imports little (``ground.asking``)."""
+"""Fast path of ``stop`` and ``job pause``, ``resume``, ``abort`` from a shell. Few imports (``ground.job_client``)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from cellapp.ground.asking import VERBS, Verb, ask_running_job
+from cellapp.ground.job_client import VERBS, Verb, ask_running_job
 
 _FORCE = "--force"
 REMEDY = f"add {_FORCE} to replace it"

@@ -12,8 +12,8 @@ import typer
 from typer.core import TyperGroup
 
 from cellapp.commands.registry import PANEL, help_of, name_of
-from cellapp.ground.asking import Verb
 from cellapp.ground.errors import InputError
+from cellapp.ground.job_client import Verb
 from cellapp.ground.removed import removed_command
 from cellapp.ground.version import __version__
 from cellapp.interfaces.cli.command_outputs import HELP_OPTIONS, Commands, JsonOption, RunFolder, current_outputs

@@ -62,7 +62,7 @@ def seal(
         stated=not unstated, plan_method=plan,
     )  # fmt: skip
     with CommandJob(json_file) as job:
-        result = seal_trials(load_profile(profile), out, n, setup, seed=seed, listener=job.listen, cancel=job.control)
+        result = seal_trials(load_profile(profile), out, n, setup, seed=seed, job=job.control)
         job.say(
             f"{counted(result.runs, 'run')} in {out}; their truth is in {out / TRUTH_FILE}: open it with 'trials judge'"
             " only",
@@ -113,7 +113,7 @@ def power(
     json_file: JsonOption = None,
 ) -> None:
     """Before measuring: which effects of which size a cell, its plan and its tracker would have named."""
-    from cellapp.commands.trials.power import power_at, power_sentence, power_table
+    from cellapp.commands.trials.detectability import power_at, power_sentence, power_table
 
     with CommandJob(json_file) as job:
         work = _work(job, jobs, scheduler, results)
@@ -128,7 +128,7 @@ def _work(job: CommandJob, jobs: int | None, scheduler: str | None, results: Pat
     from cellapp.ground.executors import PoolWork, kept_results
 
     kept_results(results)  # one that is none is refused before hours of work
-    return PoolWork(jobs, scheduler, results, job.listen, job.control)
+    return PoolWork(jobs, scheduler, results, job.control)
 
 
 def _refuse_failed(failed: Sequence[str]) -> None:

@@ -24,7 +24,7 @@ from cellapp.commands.stages import data_mark
 from cellapp.commands.view.words import VERDICT_TITLES, Verdict
 from cellapp.ground.outputs import RENEWED
 from cellapp.ground.results import CERTIFICATE
-from cellapp.interfaces.page.drawn import DrawnSection, drawn_sections
+from cellapp.interfaces.page.figures import DrawnSection, drawn_sections
 
 if TYPE_CHECKING:
     from jinja2 import Template

@@ -51,7 +51,7 @@ from cellapp.estimation.readings.columns import COLUMNS
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken, Listener, ignore
+from cellapp.ground.progress import UNATTENDED, JobToken
 from cellapp.interfaces.python.printed import Charted, Printed
 from cellapp.robot.effects import MeasurementConditions, TemperatureRecord
 from cellapp.robot.kinematics.transforms import Array, apply
@@ -343,15 +343,15 @@ class Calibration(Fitted):
 
     result: CalibrateResult
 
-    def discover(self, listener: Listener = ignore, cancel: CancelToken | None = None) -> Discovery:
+    def discover(self, job: JobToken = UNATTENDED) -> Discovery:
         """Search every arm for physical effects that this model lacks.
 
         Raises
         ------
         Cancelled
-            If ``cancel`` requests it.
+            If ``job`` is cancelled.
         """
-        result, found = discover_effects(self.profile, self.model, self.readings, listener, cancel)
+        result, found = discover_effects(self.profile, self.model, self.readings, job)
         return Discovery(self.profile, self.readings, found.model, result, self)
 
     def summary(self) -> str:
@@ -519,34 +519,26 @@ class Cell(Printed):
         """
         return checked_readings(self.profile, source, in_order=in_order)
 
-    def calibrate(
-        self,
-        readings: ReadingsLike,
-        listener: Listener = ignore,
-        cancel: CancelToken | None = None,
-        *,
-        in_order: bool = False,
-    ) -> Calibration:
+    def calibrate(self, readings: ReadingsLike, job: JobToken = UNATTENDED, *, in_order: bool = False) -> Calibration:
         """Identify every arm, its residual network and the transform between the bases, as ``cellapp calibrate`` does.
 
         Parameters
         ----------
         readings, in_order
             As for ``readings``. Readings without a split get one by the profile's seed.
-        listener : callable
-            Receives progress events.
-        cancel : CancelToken, optional
+        job : JobToken
+            Its listener receives progress events; it can be cancelled.
 
         Raises
         ------
         InputError
             As ``readings`` does, and if an arm has too few of them.
         Cancelled
-            If ``cancel`` requests it.
+            If ``job`` is cancelled.
         """
         checked = self.readings(readings, in_order=in_order)
         split, notes = checked.with_splits()
-        result, model = calibrate_cell(self.profile, split, listener, cancel, notes=notes)
+        result, model = calibrate_cell(self.profile, split, job, notes=notes)
         return Calibration(self.profile, split, model, result)
 
     def summary(self) -> str:

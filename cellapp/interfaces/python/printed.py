@@ -19,7 +19,7 @@ from cellapp.commands.view.parts import Parts, printed
 from cellapp.commands.view.table import Table
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import RENEWED
-from cellapp.interfaces.page.drawn import chart_figure
+from cellapp.interfaces.page.figures import chart_figure
 from cellapp.interfaces.render.terminal import plain_text
 
 _LONGEST = 190

@@ -41,15 +41,15 @@ from textual.widgets import Static
 from cellapp.commands.docs.keys import KEYS, SHOWN
 from cellapp.commands.registry import ALL
 from cellapp.interfaces.tui import terminal
-from cellapp.interfaces.tui import work as jobs_of_verbs
+from cellapp.interfaces.tui import verb_jobs as jobs_of_verbs
+from cellapp.interfaces.tui.confirmations import QuitQuestion, offer_at_rest, offer_to_quit, offer_whole_day
 from cellapp.interfaces.tui.dialogs.program import MotionQuestion, Palette, possible_commands
 from cellapp.interfaces.tui.dialogs.question import Reading
-from cellapp.interfaces.tui.endings import ENDED, LEFT, UNEXPECTED, Leaving, ending_of, left_behind
 from cellapp.interfaces.tui.host import Host, LastRunRead, LeaveAsked, Severity, StopGiven, WorkspaceLoaded
+from cellapp.interfaces.tui.job_outcome import ENDED, LEFT, UNEXPECTED, Leaving, ending_of, left_behind
 from cellapp.interfaces.tui.jobs import JobEnded, MotionAsked
 from cellapp.interfaces.tui.keys import bind, key_table, with_keys
 from cellapp.interfaces.tui.live_run import LOOK_EVERY_S, Detached, JobsOfOthers
-from cellapp.interfaces.tui.offers import QuitQuestion, offer_at_rest, offer_to_quit, offer_whole_day
 from cellapp.interfaces.tui.run_state import next_step
 from cellapp.interfaces.tui.screens import SCREENS
 from cellapp.interfaces.tui.screens.base import DayScreen

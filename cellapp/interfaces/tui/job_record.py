@@ -255,7 +255,7 @@ class JobRecord:
     references : list
         Reports of reference measurements, oldest first.
     suspicions : list
-        Doubts raised by the measurements.
+        Suspicions that the measurements raised.
     log : deque
         Lines, oldest first.
     log_written : int

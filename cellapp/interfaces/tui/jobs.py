@@ -19,14 +19,14 @@ from textual.message import Message
 
 from cellapp.commands.record import Request, Verb, View
 from cellapp.ground.control import JobControl
-from cellapp.ground.progress import Listener, Progress, with_eta
+from cellapp.ground.progress import Progress
 
 if TYPE_CHECKING:
     from cellapp.ground.results import Result
 
 Ask = Callable[[str], bool]
 """Function that shows a person the first motion in words and returns whether it is allowed."""
-Work = Callable[[Listener, JobControl, Ask], "Result | None"]
+Work = Callable[[JobControl, Ask], "Result | None"]
 """A verb with its inputs bound; it runs in the job's thread."""
 M = TypeVar("M", bound=Message)
 
@@ -174,5 +174,6 @@ class JobRunner:
 
         with contextlib.ExitStack() as stack:
             stack.push(report_failure)  # report to the screens whatever ends the job
-            result = job.work(with_eta(self._events.append), control, ask)
+            stack.enter_context(control.heard_by(lambda event, before: self._events.append(event)))
+            result = job.work(control, ask)
             self._post(JobEnded(job, result, None if result is None else job.view(result)))

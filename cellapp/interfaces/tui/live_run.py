@@ -9,12 +9,12 @@ from __future__ import annotations
 import threading
 from pathlib import Path
 
-from cellapp.ground.asking import JOB_FILE, JobAddress, JobSeen, Verb, address_of_job, ask_running_job, look_at_job
 from cellapp.ground.control import Aborted, JobControl, Request, Stopped
 from cellapp.ground.errors import CellappError, HardwareError, InputError
-from cellapp.ground.progress import Listener, Progress, StateChange
+from cellapp.ground.job_client import JOB_FILE, JobAddress, JobSeen, Verb, address_of_job, ask_running_job, look_at_job
+from cellapp.ground.progress import StateChange
 from cellapp.interfaces.tui.host import Host
-from cellapp.interfaces.tui.jobs import Ask, Job
+from cellapp.interfaces.tui.jobs import Job
 
 LOOK_EVERY_S = 1.0
 """Interval of looking for jobs that were started in another window."""
@@ -51,10 +51,10 @@ class OthersControl(JobControl):
 
     def leave(self, how: str = "") -> None:
         """Look at it no longer. The job goes on: another person attends it."""
-        self._left = how or "left"
+        self._departure = how or "left"
         self._over.set()
 
-    def follow(self, listener: Listener) -> None:
+    def follow(self) -> None:
         """Pass on the state of the job until it ends.
 
         Raises
@@ -83,8 +83,8 @@ class OthersControl(JobControl):
             silent = False
             self._take(seen, sent)
             if told != (told := (seen.state, seen.reason, seen.done, seen.total, seen.note)):
-                listener(Progress(seen.part, seen.done, seen.total, seen.note))
-                listener(Progress(seen.part, seen.done, seen.total, detail=StateChange(seen.state, seen.reason)))
+                self.tell(seen.part, seen.done, seen.total, seen.note)
+                self.tell(seen.part, seen.done, seen.total, detail=StateChange(seen.state, seen.reason))
         raise Detached
 
     def _take(self, seen: JobSeen, sent: int) -> None:
@@ -167,12 +167,9 @@ class JobsOfOthers:
             return
         control = OthersControl(app, folder, address.process, seen)
 
-        def work(listener: Listener, control_: JobControl, ask: Ask) -> None:
-            control.follow(listener)
-
         app.asked_by = None
         app.record.begin(seen.name, watched=True)
-        app.jobs.start(Job(seen.name, work, folder, process=address.process), control)
+        app.jobs.start(Job(seen.name, lambda _, ask: control.follow(), folder, process=address.process), control)
         app.say(
             f"Process {address.process} runs '{seen.name}' in {folder}: its state is shown, nothing can be changed."
             " Escape stops its arms; q leaves it running."

@@ -72,7 +72,7 @@ def _next_words(workspace: Workspace, waits: str) -> str:
     return f"Next ({key}): {f'{verb}, ' if verb and words.startswith('cellapp ') else ''}{with_keys(words)}"
 
 
-def marks_of(workspace: Workspace, measured: int, planned: int, left: int, running: Step | None) -> dict[Step, Mark]:
+def marks_of(workspace: Workspace, measured: int, planned: int, todo: int, running: Step | None) -> dict[Step, Mark]:
     """Return the mark of every step; ``running`` is the step that a job does now."""
     marks: dict[Step, Mark] = {step: Mark("open", "not begun") for step in STEPS}
     if workspace.profile is not None:
@@ -82,7 +82,7 @@ def marks_of(workspace: Workspace, measured: int, planned: int, left: int, runni
             Mark("done", f"{planned} stops are planned") if planned else Mark("done", "readings are imported")
         )
     if measured:
-        marks["collect"] = _collected(workspace, measured, planned, left)
+        marks["collect"] = _collected(workspace, measured, planned, todo)
     marks.update(_concluded(workspace))
     after = next_step(workspace)
     for step, mark in marks.items():
@@ -93,15 +93,15 @@ def marks_of(workspace: Workspace, measured: int, planned: int, left: int, runni
     return marks
 
 
-def _collected(workspace: Workspace, measured: int, planned: int, left: int) -> Mark:
+def _collected(workspace: Workspace, measured: int, planned: int, todo: int) -> Mark:
     collection = workspace.collection
     if collection is not None and collection.missing_share > collection.tolerated_share:
         return Mark("part", f"{collection.missing_share:.0%} of the planned readings are missing")
     last = None if collection is None else collection.last
     accurate = last is not None and last.outcome == "accurate enough"
-    if left and not accurate:
+    if todo and not accurate:
         return Mark("part", f"{measured} of {planned} stops are measured")
-    return Mark("done", f"{measured} stops are measured" + (", accurate enough" if left else ""))
+    return Mark("done", f"{measured} stops are measured" + (", accurate enough" if todo else ""))
 
 
 def _concluded(workspace: Workspace) -> dict[Step, Mark]:
@@ -164,7 +164,7 @@ class RunState:
         The open run, or the one that the current job creates.
     planned, measured : int
         Stops without reserves; measured ones as reported by the job, which is ahead of the file as it was read.
-    left : int
+    remaining : int
         Planned stops that are not measured.
     job : JobNow or None
     problem : str
@@ -191,7 +191,7 @@ class RunState:
     folder: Path | None = None
     planned: int = 0
     measured: int = 0
-    left: int = 0
+    remaining: int = 0
     job: JobNow | None = None
     problem: str = ""
     read_only: bool = False
@@ -313,20 +313,20 @@ def run_state(
     measured = sum(stop.measured for stop in stops)
     if not stops and workspace.overview is not None:
         measured = max((arm.measured for arm in workspace.overview.arms.values()), default=0)
-    left = sum(not stop.measured and stop.configuration not in reserves for stop in stops)
+    todo = sum(not stop.measured and stop.configuration not in reserves for stop in stops)
     if here and job is not None and job.stops is not None:
-        left = max(left - max(job.stops - measured, 0), 0)
+        todo = max(todo - max(job.stops - measured, 0), 0)
         measured = max(measured, job.stops)
     planned = len(stops) - len(reserves)
-    stored = _stored(workspace, planned, measured, left)
+    stored = _stored(workspace, planned, measured, todo)
     return RunState(
         stored=stored,
-        marks=marks_of(workspace, measured, planned, left, job.step if here and job is not None else None),
+        marks=marks_of(workspace, measured, planned, todo, job.step if here and job is not None else None),
         profile="" if workspace.profile is None else workspace.profile.name,
         folder=workspace.folder,
         planned=planned,
         measured=measured,
-        left=left,
+        remaining=todo,
         job=job,
         problem=workspace.problem,
         read_only=workspace.read_only,
@@ -360,7 +360,7 @@ def holds_for_drift(record: JobRecord) -> bool:
     return record.state == "stopped" and by_reference and (newest is None or not within_limit(newest))
 
 
-def _stored(workspace: Workspace, planned: int, measured: int, left: int) -> Stored:
+def _stored(workspace: Workspace, planned: int, measured: int, todo: int) -> Stored:
     if workspace.profile is None:
         return "broken" if workspace.problem else "no cell"
     if workspace.folder is None:
@@ -371,7 +371,7 @@ def _stored(workspace: Workspace, planned: int, measured: int, left: int) -> Sto
         return "no plan"
     if not measured:
         return "planned"
-    return "part" if left else "complete"
+    return "part" if todo else "complete"
 
 
 def _job_now(record: JobRecord, running: Job | None) -> JobNow | None:

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from cellapp.ground.asking import JOB_FILE, who_uses
 from cellapp.ground.errors import CellappError, InputError
+from cellapp.ground.job_client import JOB_FILE, who_uses
 
 if TYPE_CHECKING:
     from cellapp.cell.driving.records import CollectionResult, StopsResult

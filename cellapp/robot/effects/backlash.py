@@ -157,12 +157,12 @@ def _gradual(
     for reach in reaches:
         if reach.key(joint) not in law.constants:
             continue
-        left = left_by_motion(context.step[:, joint], law.constants[reach.key(joint)], bell=reach is reaches[1])
-        found.append(joint_column(f"fresh_{name}{joint + 1}", unit, joint, lag * left, -most, most, refines=True))
+        share = share_after_motion(context.step[:, joint], law.constants[reach.key(joint)], bell=reach is reaches[1])
+        found.append(joint_column(f"fresh_{name}{joint + 1}", unit, joint, lag * share, -most, most, refines=True))
     return found
 
 
-def left_by_motion(step: Array, reach: float, *, bell: bool = False) -> Array:
+def share_after_motion(step: Array, reach: float, *, bell: bool = False) -> Array:
     """Share (n,) of gradual lost motion that a joint has not taken up after a last motion ``step`` (n,) [rad] from the
     middle; none where the motion is unknown, zero or NaN. ``reach`` in rad; ``bell``: it falls like a bell curve."""
     size = np.abs(np.nan_to_num(step))

@@ -344,8 +344,8 @@ def _places(columns: Sequence[EffectColumn]) -> str:
 class EffectTerm:
     """An accepted effect in a model: its law, and name, value, standard error and unit of each parameter.
 
-    The parameters are those of the law, then those of its free part ``modulations``; ``law_misfit`` is the rms
-    displacement by the free part over that by the law. ``note`` describes a data-driven term.
+    The parameters are those of the law, then those of its discrepancy term ``modulations``; ``law_misfit`` is the rms
+    displacement by the discrepancy term over that by the law. ``note`` describes a data-driven term.
     """
 
     slug: str
@@ -408,7 +408,7 @@ def displacement_by(columns: Sequence[EffectColumn], values: Sequence[float], n:
 
 
 def term_to_json(term: EffectTerm) -> dict[str, Any]:
-    """Convert a term to a JSON object: slug, law, constants, parameters, note, and its free part if any."""
+    """Convert a term to a JSON object: slug, law, constants, parameters, note, and its discrepancy term if any."""
     free = {"modulations": [modulation_to_json(one) for one in term.modulations], "law_misfit": term.law_misfit}
     return {
         "effect": term.slug,

@@ -270,7 +270,7 @@ class TargetIncidence(Effect):
 
 TIME_CONSTANTS = tuple(np.geomspace(0.3, 30.0, 8).tolist())
 """Time constants of servo tails, creep and oscillation to try [s]."""
-_NOTHING_LEFT = 1e-4
+_NOTHING_REMAINS = 1e-4
 """Fraction of the lag below which nothing is left to see at the shortest dwell."""
 _MOST_STEP_LAG = 1e-2
 """Bound of the missing fraction of a step, whatever the dwell [rad/rad]."""
@@ -333,18 +333,18 @@ class UnsettledMeasurement(Effect):
         if dwell is None or not varies(dwell):
             return [STEP.law()]
         shortest, typical = float(dwell.min()), float(np.median(dwell))
-        taus = [tau for tau in TIME_CONSTANTS if np.exp(-shortest / tau) > _NOTHING_LEFT]
+        taus = [tau for tau in TIME_CONSTANTS if np.exp(-shortest / tau) > _NOTHING_REMAINS]
         constants = [{SETTLING_TIME.name: tau, TYPICAL_DWELL.name: typical} for tau in taus]
         return [STEP.law(), *(CREEP.law(one, len(taus)) for one in constants)]
 
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
         """One column per joint; zero where the last step is unknown."""
-        left: Array | float = 1.0
+        remaining: Array | float = 1.0
         largest = _MOST_STEP_LAG
         if law.form == CREEP:
             dwell = with_default(context.conditions.dwell_s, law.constants[TYPICAL_DWELL.name], len(context))
-            left, largest = np.exp(-dwell / law.constants[SETTLING_TIME.name])[:, None], _MOST_CREEP_LAG
-        behind = -context.step * left
+            remaining, largest = np.exp(-dwell / law.constants[SETTLING_TIME.name])[:, None], _MOST_CREEP_LAG
+        behind = -context.step * remaining
         return [
             joint_column(f"lag{j + 1}", "rad/rad", j, behind[:, j], -largest, largest) for j in range(context.joints)
         ]

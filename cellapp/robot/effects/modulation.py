@@ -1,4 +1,4 @@
-"""Free part of an effect: its columns times smooth functions of the effect's own drivers.
+"""Discrepancy term of an effect: its columns times smooth functions of the effect's own drivers.
 
 A law is never exactly right. With base column B, fitted value v and a smooth function g of a driver z,
 
@@ -65,7 +65,7 @@ OWN_SIZE = TermInput(None)
 
 @dataclass(frozen=True)
 class Modulation:
-    """One column of a free part: a base column times one function of a driver.
+    """One column of a discrepancy term: a base column times one function of a driver.
 
     Attributes
     ----------
@@ -183,7 +183,7 @@ def _of_variable(
 def with_modulations(
     columns: Sequence[EffectColumn], free: Sequence[Modulation], context: EffectContext
 ) -> list[EffectColumn]:
-    """Columns of a law, and those of its free part after them.
+    """Columns of a law, and those of its discrepancy term after them.
 
     Raises
     ------

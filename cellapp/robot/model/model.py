@@ -202,7 +202,7 @@ class ArmModel:
         the effects before that curve only.
     smr_normal : array, shape (3,), or None
         SMR viewing direction in the flange frame.
-    posterior : PosteriorDraws or None
+    posterior : PosteriorSamples or None
         Uncertainty of geometry and effects, as draws.
     """
 
@@ -215,7 +215,7 @@ class ArmModel:
     identified: tuple[str, ...] = ()
     covariance: Array | None = None
     smr_normal: Array | None = None
-    posterior: PosteriorDraws | None = None
+    posterior: PosteriorSamples | None = None
 
     @classmethod
     def of(
@@ -535,7 +535,7 @@ def _geometry_to_json(geometry: Geometry) -> dict[str, Any]:
 def _geometry_from_json(content: Mapping[str, Any]) -> Geometry:
     vector = np.array(list(content["parameters"].values()), dtype=np.float64)
     has_probe = PROBE_NAMES[0] in content["parameters"]
-    joints, left = divmod(len(vector) - (12 if has_probe else 9), 5)
+    joints, remainder = divmod(len(vector) - (12 if has_probe else 9), 5)
     geometry = Geometry(
         base=np.zeros(6),
         rows=np.zeros((joints, 5)),
@@ -545,7 +545,7 @@ def _geometry_from_json(content: Mapping[str, Any]) -> Geometry:
         tied=tuple(tuple(group) for group in content.get("tied", ())),
         bounds={name: (low, high) for name, (low, high) in content.get("bounds", {}).items()},
     )
-    if left or tuple(content["parameters"]) != geometry.names:
+    if remainder or tuple(content["parameters"]) != geometry.names:
         raise ValueError("the parameters are not those of a chain")
     return geometry.with_vector(vector)
 
@@ -625,7 +625,7 @@ def _relocated_arm(arm: ArmModel, T: Array, twists: Array | None) -> ArmModel:
         nominal=arm.nominal.with_T_M_B(T @ arm.nominal.T_M_B()),
         up_M=T[:3, :3] @ arm.up_M,
         covariance=_relocated_covariance(arm, base_map, added),
-        posterior=None if arm.posterior is None else _relocated_draws(arm.posterior, base_map, added),
+        posterior=None if arm.posterior is None else _relocated_samples(arm.posterior, base_map, added),
     )
 
 
@@ -645,14 +645,14 @@ def _relocated_covariance(arm: ArmModel, base_map: Array, added: Array | None) -
     return np.asarray(covariance)
 
 
-def _relocated_draws(posterior: PosteriorDraws, base_map: Array, added: Array | None) -> PosteriorDraws:
+def _relocated_samples(posterior: PosteriorSamples, base_map: Array, added: Array | None) -> PosteriorSamples:
     columns = (*_BASE, *(column for column in posterior.columns if column not in _BASE))
-    drawn = dict(zip(posterior.columns, posterior.geometry.T, strict=True))
+    sampled = dict(zip(posterior.columns, posterior.geometry.T, strict=True))
     none = np.zeros(len(posterior.geometry))
-    base = np.stack([drawn.get(column, none) for column in _BASE], axis=1) @ base_map.T
+    base = np.stack([sampled.get(column, none) for column in _BASE], axis=1) @ base_map.T
     if added is not None:
         base = base + added
-    others = [drawn[column][:, None] for column in columns[len(_BASE) :]]
+    others = [sampled[column][:, None] for column in columns[len(_BASE) :]]
     return replace(posterior, columns=columns, geometry=np.concatenate([base, *others], axis=1))
 
 
@@ -673,7 +673,7 @@ def _adjoint(T: Array) -> Array:
 # relative error of 1 / sqrt(2 S): 9 % with 64. With up to S parameters the draws are made orthogonal, so that their
 # second moment is exactly the covariance.
 
-DRAWS = 64
+SAMPLES = 64
 _DIGITS = 4
 """Significant digits of a draw in JSON: more than enough, as the scatter is known to one digit."""
 
@@ -694,7 +694,7 @@ class ReadingsNoise(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class PosteriorDraws:
+class PosteriorSamples:
     """Deviations of the fitted parameters from their estimate in S draws, and the scatter of the readings.
 
     Attributes
@@ -726,7 +726,7 @@ class PosteriorDraws:
         noise: ReadingsNoise,
         seed: Sequence[int],
         tied: Sequence[tuple[int, int]] = (),
-    ) -> PosteriorDraws:
+    ) -> PosteriorSamples:
         """Draw from ``covariance`` (p, p) of K geometric parameters and of terms with ``sizes`` parameters.
 
         Further geometric parameters are ``tied``, each to one of ``columns``.
@@ -734,19 +734,19 @@ class PosteriorDraws:
         scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
         correlation = covariance / scale / scale[:, None]
         root, failed = scipy.linalg.lapack.dpotrf(correlation, lower=1)
-        if failed or len(scale) <= DRAWS:
+        if failed or len(scale) <= SAMPLES:
             values, vectors = np.linalg.eigh(correlation)
             root = vectors * np.sqrt(np.maximum(values, 0.0))
-        normal = np.random.default_rng(seed).standard_normal((DRAWS, len(scale)))
-        if len(scale) <= DRAWS:
-            normal = math.sqrt(DRAWS) * np.linalg.qr(normal)[0]
-        drawn = (normal @ root.T) * scale
+        normal = np.random.default_rng(seed).standard_normal((SAMPLES, len(scale)))
+        if len(scale) <= SAMPLES:
+            normal = math.sqrt(SAMPLES) * np.linalg.qr(normal)[0]
+        sampled = (normal @ root.T) * scale
         ends = np.cumsum([len(columns), *sizes])
-        parts = np.split(drawn, ends[:-1], axis=1)
+        parts = np.split(sampled, ends[:-1], axis=1)
         geometry = parts[0][:, [*range(len(columns)), *(columns.index(first) for _, first in tied)]]
         return cls((*columns, *(column for column, _ in tied)), geometry, tuple(parts[1:]), *noise)
 
-    def of_columns(self, end: int) -> PosteriorDraws:
+    def of_columns(self, end: int) -> PosteriorSamples:
         """Keep the draws of geometric parameters before ``end`` and of all terms; drop the noise of orientations."""
         kept = [place for place, column in enumerate(self.columns) if column < end]
         columns = tuple(self.columns[place] for place in kept)
@@ -767,13 +767,13 @@ class PosteriorDraws:
         by_geometry = np.einsum("sk,ckn->snc", self.geometry, J, optimize=True)
         moved = np.zeros_like(by_geometry)
         joints = np.zeros((len(self.geometry), *context.q.shape))
-        for term, drawn in zip(terms, self.terms, strict=True):
-            _add(joints, moved, ordered_columns(term, EFFECTS, context), drawn)
+        for term, sampled in zip(terms, self.terms, strict=True):
+            _add(joints, moved, ordered_columns(term, EFFECTS, context), sampled)
         moved += np.einsum("snj,cjn->snc", joints, by_joint, optimize=True)
         return np.asarray(by_geometry), moved
 
 
-def _add(joints: Array, moved: Array, columns: Sequence[EffectColumn], drawn: Array) -> None:
+def _add(joints: Array, moved: Array, columns: Sequence[EffectColumn], sampled: Array) -> None:
     """Add joint offsets (S, n, N) and shifts (S, n, 3) of columns with drawn values (S, m)."""
     by_joint: dict[int, list[int]] = {}
     shifting: NDArray[np.intp] = np.array([k for k, one in enumerate(columns) if one.joint is None], dtype=np.intp)
@@ -781,13 +781,13 @@ def _add(joints: Array, moved: Array, columns: Sequence[EffectColumn], drawn: Ar
         if column.joint is not None:
             by_joint.setdefault(column.joint, []).append(k)
     for joint, own in by_joint.items():
-        joints[:, :, joint] += drawn[:, own] @ np.array([columns[k].offset for k in own])
+        joints[:, :, joint] += sampled[:, own] @ np.array([columns[k].offset for k in own])
     if len(shifting):
         shifts = np.array([columns[k].shift_M for k in shifting])
-        moved += np.tensordot(drawn[:, shifting], shifts, axes=1)
+        moved += np.tensordot(sampled[:, shifting], shifts, axes=1)
 
 
-def posterior_to_json(posterior: PosteriorDraws) -> dict[str, Any]:
+def posterior_to_json(posterior: PosteriorSamples) -> dict[str, Any]:
     """Convert draws to a JSON object, rounded."""
     return {
         "columns": list(posterior.columns),
@@ -803,13 +803,13 @@ def posterior_to_json(posterior: PosteriorDraws) -> dict[str, Any]:
     }
 
 
-def posterior_from_json(content: Mapping[str, Any]) -> PosteriorDraws:
+def posterior_from_json(content: Mapping[str, Any]) -> PosteriorSamples:
     """Parse an object from ``posterior_to_json``."""
-    geometry = _array(content["geometry"])
+    sd, geometry = float(content["noise_m"]), _array(content["geometry"])
     terms = tuple(_array(one).reshape(len(geometry), -1) for one in content["terms"])
     noise_rad = float(content["noise_rad"]) if "noise_rad" in content else None
     axes, parts = (_array(content[key]) if key in content else None for key in ("noise_axes_rad", "noise_parts"))
-    return PosteriorDraws(tuple(content["columns"]), geometry, terms, float(content["noise_m"]), noise_rad, axes, parts)
+    return PosteriorSamples(tuple(content["columns"]), geometry, terms, sd, noise_rad, axes, parts)
 
 
 def _rounded(values: Array) -> list[list[float]]:

@@ -72,8 +72,8 @@ class Slip:
     def share(self, time_s: Array) -> Array:
         """Return the share (n,) of the slip at times (n,) [s]."""
         since = time_s - self.time
-        left = self.creeping * np.exp(-np.maximum(since, 0.0) / self.time_constant)
-        shares: Array = np.where(since >= 0.0, 1.0 - left, 0.0)
+        remaining = self.creeping * np.exp(-np.maximum(since, 0.0) / self.time_constant)
+        shares: Array = np.where(since >= 0.0, 1.0 - remaining, 0.0)
         return shares
 
 
@@ -114,7 +114,7 @@ def _course(parameters: Parameters) -> tuple[Array, DriftCourse]:
     parameters.require("shift", "turn", "law", "time", *extra)
     twist, time = np.append(parameters.numbers("shift", 3), parameters.numbers("turn", 3)), POSITIVE(parameters, "time")
     if law == "wandering":
-        return twist, DriftCourse(law, time, paths=RandomPaths.drawn(parameters.integer("seed", least=0), 6, time))
+        return twist, DriftCourse(law, time, paths=RandomPaths.sampled(parameters.integer("seed", least=0), 6, time))
     return twist, DriftCourse(law, time, parameters.number("phase", default=0.0))
 
 

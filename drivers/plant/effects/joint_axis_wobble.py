@@ -97,7 +97,7 @@ def with_waves(effect: Callable[..., PlantEffect], directions: int, **reads: Rea
 
     def build(harmonics: Array, shares: Array, seed: int, **values: Any) -> PlantEffect:
         rng = np.random.default_rng(seed)
-        waves = [RandomWaves.drawn(rng, directions, harmonics, shares) for _ in values["joints"]]
+        waves = [RandomWaves.sampled(rng, directions, harmonics, shares) for _ in values["joints"]]
         return effect(**values, waves=tuple(waves))
 
     return made(build, **reads, harmonics=_own_length, shares=_shares, seed=SEED)

@@ -67,12 +67,12 @@ class TrueGrowth(PlantEffect):
     def assumed_memory(self, situation: Situation) -> Array | None:
         ends = self._steady_temperature(situation.air_c, situation.joints_c)
         order = np.argsort(situation.time_s, kind="stable")
-        left = np.exp(-np.diff(situation.time_s[order]) / self.lag)
-        if not (left < 1.0).any():
+        remaining = np.exp(-np.diff(situation.time_s[order]) / self.lag)
+        if not (remaining < 1.0).any():
             return ends
         ends, tubes = ends[order], np.empty_like(ends)
         tubes[order[0]] = ends[0]
-        for k, keep in enumerate(left):
+        for k, keep in enumerate(remaining):
             mean = 0.5 * (ends[k] + ends[k + 1])
             tubes[order[k + 1]] = mean + (tubes[order[k]] - mean) * keep
         return tubes
@@ -194,7 +194,7 @@ def _warm_up_or_bracket(parameters: Parameters) -> PlantEffect:
 
 
 def _wandering(drift: Array, time: float, seed: int) -> PlantEffect:
-    return Offset(_wandering_zeros, {"drift": drift, "paths": RandomPaths.drawn(seed, len(drift), time)})
+    return Offset(_wandering_zeros, {"drift": drift, "paths": RandomPaths.sampled(seed, len(drift), time)})
 
 
 joint_drift = by_law(warm_up=_warm_up_or_bracket, wandering=made(_wandering, drift=NUMBERS, time=POSITIVE, seed=SEED))

@@ -105,8 +105,8 @@ _KNOTS = 1440
 def _random_curve(rng: np.random.Generator, rms: float, lowest: int, highest: int) -> Array:
     spectrum = np.zeros(_KNOTS // 2 + 1, dtype=np.complex128)
     cycles = np.arange(lowest, highest + 1)
-    draws = rng.standard_normal((2, len(cycles)))
-    spectrum[cycles] = (draws[0] + 1j * draws[1]) / np.sqrt(cycles)
+    samples = rng.standard_normal((2, len(cycles)))
+    spectrum[cycles] = (samples[0] + 1j * samples[1]) / np.sqrt(cycles)
     curve = np.fft.irfft(spectrum, _KNOTS)
     scaled: Array = curve * (rms / np.sqrt((curve**2).mean()))
     return scaled

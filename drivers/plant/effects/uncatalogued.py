@@ -133,7 +133,7 @@ warm_floor = made(by(Offset, _warm_floor), per_kelvin=VECTOR)
 
 
 def _workspace_field(rms: float, length: float, seed: int) -> PlantEffect:
-    return Apparent(_shifted, {"rms": rms, "field": RandomField.drawn(seed, length)})
+    return Apparent(_shifted, {"rms": rms, "field": RandomField.sampled(seed, length)})
 
 
 workspace_field = made(_workspace_field, rms=NOT_NEGATIVE, length=POSITIVE, seed=SEED)

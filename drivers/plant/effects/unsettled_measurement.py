@@ -23,12 +23,12 @@ class TrueSettling(PlantEffect):
     fraction: Array
     time_constant: Array
 
-    def left(self, rest_s: Array) -> Array:
+    def remaining(self, rest_s: Array) -> Array:
         """Return the share of the lag that is left (n, N) after times at rest (n, 1) [s]."""
         return np.asarray(np.exp(-rest_s / self.time_constant))
 
     def offset(self, situation: Situation, memory: Array | None) -> Deflection:
-        return Deflection(joints=-self.fraction * situation.last_step * self.left(situation.since_rest_s[:, None]))
+        return Deflection(joints=-self.fraction * situation.last_step * self.remaining(situation.since_rest_s[:, None]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,9 +38,9 @@ class TwoRateSettling(TrueSettling):
     slow_time_constant: Array
     slow_share: float
 
-    def left(self, rest_s: Array) -> Array:
+    def remaining(self, rest_s: Array) -> Array:
         slow = self.slow_share * np.exp(-rest_s / self.slow_time_constant)
-        return np.asarray((1.0 - self.slow_share) * super().left(rest_s) + slow)
+        return np.asarray((1.0 - self.slow_share) * super().remaining(rest_s) + slow)
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +49,7 @@ class PowerSettling(TrueSettling):
 
     power: float
 
-    def left(self, rest_s: Array) -> Array:
+    def remaining(self, rest_s: Array) -> Array:
         return np.asarray((1.0 + rest_s / self.time_constant) ** -self.power)
 
 

@@ -69,7 +69,7 @@ def task(finished_run: Path) -> CheckTask:
 
 
 def driven(task: CheckTask, test: Fed, **options: Any) -> DrivenCheck:
-    return drive_check(task, test, **options)
+    return drive_check(task, test, **{"control": JobControl(), **options})
 
 
 @contextmanager
@@ -93,7 +93,7 @@ def refusing(profile: Profile, *, together: bool, alone: Sequence[str] = ()) -> 
 def test_it_ends_when_the_test_is_sure(task: CheckTask) -> None:
     events: list[Progress] = []
     test = Fed(sure_after=3)
-    found = driven(task, test, listener=events.append)
+    found = driven(task, test, control=JobControl(events.append))
     assert (len(found.stops), len(test.stops), found.lost, found.notes) == (3, 3, [], [])
     assert [event.done for event in events if event.job == "check"] == [0, 0, 1, 2, 6]
     assert repr(events[0].detail).startswith("Notice(text='takes at most about ")
@@ -133,7 +133,7 @@ def test_a_lost_smr_is_given_up_after_some_stops_and_the_other_arm_goes_on(task:
             tracker.covered |= {"right"}
 
     test = Fed()
-    found = driven(task, test, listener=cover, opened=opened.append)
+    found = driven(task, test, control=JobControl(cover), opened=opened.append)
     assert found.lost == ["right"]
     assert [list(stop) for stop in test.stops] == [["left", "right"]] * 2 + [["left"]] * 4
     assert sum("no SMR within" in note for note in found.notes) == 3
@@ -325,12 +325,12 @@ def test_a_fault_leaves_the_model_as_it_was(run: RunFile, monkeypatch: pytest.Mo
 
     for fault, says in ((protective_stop, "protective stop"), (lost, "link"), (covered, "were not found")):
         with pytest.raises(HardwareError, match=says):
-            locate_run(run, listener=fault)
+            locate_run(run, control=JobControl(fault))
         assert not any(plant_of(opened[-1]).moving(name) for name in ("left", "right"))
         assert ((run.folder / CALIBRATION_FILE).read_bytes(), read_stages(run).current) == before
-    control = JobControl()
+    control = JobControl(lambda event: control.stop() if event.done == 1 else None)
     with pytest.raises(Stopped):
-        locate_run(run, listener=lambda event: control.stop() if event.done == 1 else None, control=control)
+        locate_run(run, control=control)
     assert read_stages(run).current == before[1]
 
 

@@ -28,7 +28,7 @@ from drivers.arms.protocol import ArmState
 from drivers.arms.simulated import SimulatedArm
 from drivers.trackers.simulated import SimulatedTracker
 from tests.evidence.campaigning.campaign import Bench, Campaign, make_bench, run_campaign
-from tests.evidence.campaigning.faults import KINDS, draw_faults
+from tests.evidence.campaigning.faults import KINDS, sample_faults
 from tests.twin import PROFILES, plant_of, small_twin
 
 STOPS = 12
@@ -126,7 +126,7 @@ def moved_since(watched: Watched, seconds: float = 30.0) -> bool:
 def test_every_stop_of_both_arms_is_stored_once(run: RunFile, plan: dict[str, np.ndarray], watched: Watched) -> None:
     heard: list[Progress] = []
     watched.observes = True
-    assert not collect_run(run, heard.append).notes
+    assert not collect_run(run, JobControl(heard.append)).notes
     assert watched.plant.clearance.arms_m > 0.0
     assert watched.plant.clearance.floor_m > 0.0
     for name, q in plan.items():
@@ -171,14 +171,13 @@ def test_a_stop_is_committed_before_the_next_move(run: RunFile, watched: Watched
 def test_stopped_between_stops_the_arms_rest_and_the_run_goes_on(
     run: RunFile, plan: dict[str, np.ndarray], watched: Watched
 ) -> None:
-    control = JobControl()
-
     def stop_after_five(event: Progress) -> None:
         if event.done == 5:
             control.stop()
 
+    control = JobControl(stop_after_five)
     with pytest.raises(Stopped):
-        collect_run(run, stop_after_five, control)
+        collect_run(run, control)
     assert run.stops_done() == set(range(5))
     assert not moved_since(watched)
     last = max(run.readings(name).time_s.max() for name in plan)
@@ -395,7 +394,7 @@ def test_the_same_seed_is_the_same_campaign(bench: Bench, campaigns: list[Campai
 
 
 def test_faults_come_in_order_and_from_the_seed() -> None:
-    first, second = (draw_faults(np.random.default_rng(1), ("left", "right"), 400, 100) for _ in range(2))
+    first, second = (sample_faults(np.random.default_rng(1), ("left", "right"), 400, 100) for _ in range(2))
     assert first == second
     assert [fault.at_s for fault in first] == sorted(fault.at_s for fault in first)
 

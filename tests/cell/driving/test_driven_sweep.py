@@ -22,6 +22,7 @@ from cellapp.cell.run.recordings import read_recordings_of, read_stream, recordi
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.estimation.motion.tracks import track_of
+from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Collection
@@ -114,7 +115,7 @@ def names(run: RunFile) -> set[tuple[str, str]]:
 def test_sweeps_are_driven_and_recorded_with_both_clocks(planned: Path, tmp_path: Path) -> None:
     heard: list[Progress] = []
     with copied(planned, tmp_path) as run:
-        assert collect_run(run, heard.append, opened=driven_cell()).outcome == "complete"
+        assert collect_run(run, JobControl(heard.append), opened=driven_cell()).outcome == "complete"
         sweeps = read_sweeps(run)
         assert len(sweeps) >= 2
         assert names(run) == {(one.arm, one.name) for one in sweeps}
@@ -152,7 +153,7 @@ def test_a_lost_beam_slows_the_arm_down_and_the_rest_is_a_recording_of_its_own(
     crossed = crossed_beam(monkeypatch, cells, "left", 2.0)
     heard: list[Progress] = []
     with copied(planned, tmp_path) as run:
-        collect_run(run, heard.append, opened=driven_cell(CLOCK, cells.append))
+        collect_run(run, JobControl(heard.append), opened=driven_cell(CLOCK, cells.append))
         assert len(crossed) == 1
         told = sweeps_in(heard, "left")
         searching = next(place for place, one in enumerate(told) if one.state == "searching")
@@ -188,7 +189,7 @@ def test_a_beam_that_stays_lost_ends_the_recording_and_the_arm_comes_back(planne
 
     heard: list[Progress] = []
     with copied(planned, tmp_path) as run:
-        collect_run(run, heard.append, opened=driven_cell(CLOCK, prepare))
+        collect_run(run, JobControl(heard.append), opened=driven_cell(CLOCK, prepare))
         told = sweeps_in(heard, "left")
         states = list(dict.fromkeys(one.state for one in told))
         assert states == ["moving", "searching", "unrecorded", "done"]
@@ -201,7 +202,7 @@ def test_a_beam_that_stays_lost_ends_the_recording_and_the_arm_comes_back(planne
         assert len(run.stops_done()) == 2
 
 
-def test_a_doubt_in_a_sweep_stops_all_and_resuming_records_what_is_missing(planned: Path, tmp_path: Path) -> None:
+def test_a_fault_in_a_sweep_stops_all_and_resuming_records_what_is_missing(planned: Path, tmp_path: Path) -> None:
     faults: list[ArmError] = []
 
     def prepare(cell: Cell) -> None:

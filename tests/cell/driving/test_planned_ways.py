@@ -25,7 +25,7 @@ from cellapp.cell.safety.gate import CellBodies, refuse_motion
 from cellapp.ground.control import JobControl, Stopped
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import Cancelled, CancelToken, MotionBegun, Progress
+from cellapp.ground.progress import Cancelled, JobToken, MotionBegun, Progress
 from drivers.arms.simulated import SimulatedArm
 from drivers.clock import RealClock
 from tests.cell.planning.planned_cells import drivable_stops
@@ -78,7 +78,8 @@ class Driven:
             self.motions.append(event.detail)
 
     def collect(self, **options: Any) -> tuple[str, ...]:
-        return collect_run(self.run, self.hear, self.control, opened=self.opened, **options).notes
+        with self.control.heard_by(lambda event, _: self.hear(event)):
+            return collect_run(self.run, self.control, opened=self.opened, **options).notes
 
     def places(self, name: str, *qs: np.ndarray) -> list[int]:
         """Where goals of an arm stand among all of its goals; -1 for one to which it never went."""
@@ -146,8 +147,9 @@ def test_the_side_holds_after_a_stop_on_the_way_and_a_resume(driven: Driven, pla
         if isinstance(event.detail, MotionBegun) and began == moment:
             driven.control.stop()
 
+    driven.control = JobControl(stop_in_the_midst)
     with pytest.raises(Stopped):
-        collect_run(driven.run, stop_in_the_midst, driven.control, opened=driven.opened)
+        collect_run(driven.run, driven.control, opened=driven.opened)
     driven.control = JobControl()
     driven.collect(resume=True)
     arrived_by_the_planned_step(driven.run)
@@ -245,7 +247,7 @@ def test_the_rest_of_a_real_arm_ends_on_cancellation() -> None:
     with open_cell(profile) as cell:
         real = Cell(cell.arms, cell.tracker, RealClock())
         reaction = StopReaction(cell.arms, cell.tracker, one_by_one)
-        mover, token = Mover(profile, real, cell_bodies(profile), reaction), CancelToken()
+        mover, token = Mover(profile, real, cell_bodies(profile), reaction), JobToken()
         mover.rest("left", 0.0, token)
         token.cancel()
         with pytest.raises(Cancelled):

@@ -21,11 +21,11 @@ import pytest
 from cellapp.cell.driving.cell import in_threads, one_by_one
 from cellapp.cell.driving.reaction import CellStopped, StopCause, StopReaction
 from cellapp.cell.driving.requests import taking_requests
-from cellapp.ground.asking import JOB_FILE, Verb, ask_running_job, look_at_job, who_uses
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError, InputError
+from cellapp.ground.job_client import JOB_FILE, Verb, ask_running_job, look_at_job, who_uses
 from cellapp.ground.progress import Halt
-from drivers.arms.protocol import Arm, ArmError, ArmState, DoubtListener, HostStalled, LinkLost, ProtectiveStop
+from drivers.arms.protocol import Arm, ArmError, ArmState, FaultListener, HostStalled, LinkLost, ProtectiveStop
 from drivers.trackers.protocol import TrackerLinkLost
 from tests.waiting import WAIT_S
 
@@ -39,13 +39,13 @@ class Braking:
         self.name = name
         self.braked, self.may_go_on = threading.Event(), threading.Event()
         self.may_go_on.set()
-        self.listener: DoubtListener = lambda error: None
+        self.listener: FaultListener = lambda error: None
         self.connected = 0
         self.reason = ""
         self.unseen = False
         self.refused = 0
 
-    def watch(self, listener: DoubtListener) -> None:
+    def watch(self, listener: FaultListener) -> None:
         self.listener = listener
 
     def refuse_motion(self) -> None:
@@ -87,7 +87,7 @@ def arms() -> dict[str, Braking]:
     return {name: Braking(name) for name in ("left", "right")}
 
 
-def test_a_doubt_about_one_arm_brakes_all_even_if_one_brake_hangs(arms: dict[str, Braking]) -> None:
+def test_a_fault_about_one_arm_brakes_all_even_if_one_brake_hangs(arms: dict[str, Braking]) -> None:
     tracker = Halted()
     reaction = reaction_of(arms, tracker)
     arms["left"].may_go_on.clear()
@@ -139,7 +139,7 @@ def test_an_arm_that_is_not_ready_keeps_the_cell_stopped(arms: dict[str, Braking
     assert arms["left"].braked.is_set(), "the arm that was released is latched again"
 
 
-def test_a_doubt_during_the_release_keeps_the_cell_stopped(
+def test_a_fault_during_the_release_keeps_the_cell_stopped(
     arms: dict[str, Braking], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     reaction = reaction_of(arms, Halted(), one_by_one)
@@ -218,7 +218,7 @@ def test_each_arm_is_watched_until_it_rests_without_the_job(arms: dict[str, Brak
     assert reaction.wait_at_rest() == {"right": "arm right: not seen"}
 
 
-def test_an_arm_in_doubt_stays_so_until_it_is_seen(arms: dict[str, Braking]) -> None:
+def test_an_arm_of_unknown_state_stays_so_until_it_is_seen(arms: dict[str, Braking]) -> None:
     reaction = reaction_of(arms, Halted(), one_by_one)
     arms["right"].unseen = True
     reaction.trigger(StopCause("stop", "a person stopped the arms"))
@@ -346,7 +346,7 @@ AS_ANOTHER = """
 import os, sys
 from pathlib import Path
 from cellapp.cell.driving.requests import taking_requests
-from cellapp.ground.asking import ask_running_job, who_uses
+from cellapp.ground.job_client import ask_running_job, who_uses
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import CellappError
 os.setuid(65534)
@@ -409,7 +409,7 @@ def test_hostile_requests_change_nothing_and_delay_no_stop(folder: Path, job: Jo
 
 
 def test_a_job_that_listens_and_is_silent_is_a_fault(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cellapp.ground.asking.PATIENCE_S", 0.05)
+    monkeypatch.setattr("cellapp.ground.job_client.PATIENCE_S", 0.05)
     with taking_requests(folder, JobControl()), socket.create_server(("127.0.0.1", 0)) as mute:
         address = json.loads((folder / JOB_FILE).read_text())
         (folder / JOB_FILE).write_text(json.dumps({**address, "port": mute.getsockname()[1]}))
@@ -418,6 +418,6 @@ def test_a_job_that_listens_and_is_silent_is_a_fault(folder: Path, monkeypatch: 
 
 
 def test_a_job_of_another_version_is_named(folder: Path, job: JobControl, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cellapp.ground.asking.exchange", lambda *_: "done a job runs here")
+    monkeypatch.setattr("cellapp.ground.job_client.exchange", lambda *_: "done a job runs here")
     with pytest.raises(InputError, match="of another version of cellapp"):
         look_at_job(folder)

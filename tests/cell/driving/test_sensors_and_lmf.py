@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from cellapp.cell.driving.cell import build_plant, open_cell
 from cellapp.cell.driving.collect import collect_run
-from cellapp.cell.driving.examination import examine
+from cellapp.cell.driving.diagnosis import examine
 from cellapp.cell.planning.plan import plan_stops
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile

@@ -83,7 +83,8 @@ class Bench:
             yield cell
 
     def collect(self, **options: Any) -> CollectResult:
-        return collect_run(self.run, self.heard.append, self.control, opened=self.opened, **options)
+        with self.control.heard_by(lambda event, _: self.heard.append(event)):
+            return collect_run(self.run, self.control, opened=self.opened, **options)
 
     @property
     def tracker(self) -> SimulatedTracker:

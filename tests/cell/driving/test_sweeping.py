@@ -116,7 +116,7 @@ def test_who_cannot_swing_beside_is_refused() -> None:
 def test_collecting_records_each_sweep_once_and_calibrates(planned: Path, tmp_path: Path) -> None:
     with copied(planned, tmp_path) as run:
         heard: list[Progress] = []
-        collect_run(run, heard.append)
+        collect_run(run, JobControl(heard.append))
         sweeps = read_sweeps(run)
         states = recording_states(run)
         assert {(one.arm, one.name) for one in states} == {(one.arm, one.name) for one in sweeps}

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from cellapp.cell.planning.balance import correlations, travel_time
-from cellapp.cell.planning.plan import draw_stops, plan_stops
+from cellapp.cell.planning.plan import plan_stops, sample_stops
 from cellapp.cell.planning.planned_stops import Configuration, PlannedStops, Route, routes, straight_stops
 from cellapp.cell.planning.sequence import sequenced
 from cellapp.cell.planning.transit_paths import TransitPlanner
@@ -104,7 +104,7 @@ def measure(path: Path, stops: int, seed: int) -> str:
     plan = profile.plan.model_copy(update={"stops": stops, "reserve": 0})
     profile = profile.model_copy(update={"plan": plan})
     cell, homes = cell_bodies(profile), home_positions(profile)
-    chosen = draw_stops(cell, profile, int(_MORE * stops), np.random.default_rng(seed))
+    chosen = sample_stops(cell, profile, int(_MORE * stops), np.random.default_rng(seed))
     began = time.process_time()
     rng = np.random.default_rng(seed)
     finder = TransitPlanner(profile, cell, rng)

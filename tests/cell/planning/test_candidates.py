@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cellapp.cell.planning.candidates import CandidatePool, draw_pool, exclusions
+from cellapp.cell.planning.candidates import CandidatePool, exclusions, sample_pool
 from cellapp.cell.planning.transit_paths import ArmRoadmap
 from cellapp.cell.profile import load_profile
 from cellapp.cell.safety.bodies import ArmBodies, TrackerField, place, sight_of
@@ -68,7 +68,7 @@ CELLS: dict[str, tuple[CellBodies, str]] = {
 
 
 def pool_of(cell: CellBodies, name: str, seed: int = 3, count: int = COUNT, **plan: Any) -> CandidatePool:
-    return draw_pool(cell, small_twin(COUNT, plan=plan), name, count, np.random.default_rng(seed))
+    return sample_pool(cell, small_twin(COUNT, plan=plan), name, count, np.random.default_rng(seed))
 
 
 @pytest.mark.parametrize("which", CELLS)
@@ -83,16 +83,16 @@ def test_every_candidate_can_be_measured(which: str) -> None:
     assert len(np.unique(pool.q, axis=0)) == COUNT
     assert cell.field is not None
     np.testing.assert_allclose(pool.incidence, sight_of(cell.field.T_C_M, placed).incidence, atol=1e-7)
-    assert pool.drawn - sum(pool.rejected.values()) >= COUNT
+    assert pool.sampled - sum(pool.rejected.values()) >= COUNT
 
 
 def test_a_pool_may_be_smaller_than_asked_for_but_not_than_the_plan(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cellapp.cell.planning.candidates._MOST_DRAWS", 60_000)
-    monkeypatch.setattr("cellapp.cell.planning.candidates._MOST_DRAWS_PER_CANDIDATE", 1)
+    monkeypatch.setattr("cellapp.cell.planning.candidates._MOST_SAMPLES", 60_000)
+    monkeypatch.setattr("cellapp.cell.planning.candidates._MOST_SAMPLES_PER_CANDIDATE", 1)
     cell, name = CELLS["UR10"]
     assert COUNT <= len(pool_of(cell, name, count=5000).q) < 5000
     with pytest.raises(InputError, match=rf"[0-9]+ of [0-9]+ random .* can be measured, {COUNT * 10} are needed"):
-        draw_pool(cell, small_twin(COUNT * 10), name, 5000, np.random.default_rng(0))
+        sample_pool(cell, small_twin(COUNT * 10), name, 5000, np.random.default_rng(0))
 
 
 # -- cells in which nothing can be measured ---------------------------------------------------------------------------
@@ -142,14 +142,14 @@ CAUSES = impossible(small_twin(3))
 
 @pytest.mark.parametrize("cause", CAUSES)
 def test_what_cannot_be_measured_names_its_constraint(cause: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cellapp.cell.planning.candidates._MOST_DRAWS", 20_000)
+    monkeypatch.setattr("cellapp.cell.planning.candidates._MOST_SAMPLES", 20_000)
     profile, constraint, extent = CAUSES[cause]
     cell = cell_bodies(profile)
     first = exclusions(cell, profile, "left")[0]
     assert first.constraint == constraint
     assert first.alone > 0.99
     with pytest.raises(InputError, match=f"arm left: none of [0-9]+ random .*: .*{extent}.* What helps: ") as told:
-        draw_pool(cell, profile, "left", 10, np.random.default_rng(0))
+        sample_pool(cell, profile, "left", 10, np.random.default_rng(0))
     assert first.advice in str(told.value)
 
 
@@ -160,7 +160,7 @@ def test_poses_beyond_a_locked_range_are_out_of_reach() -> None:
     """The real cell's joint limits leave pockets: those within reach have straight ways that the gate accepts."""
     profile = load_profile(PROFILES / "ur10-ur5.yaml")
     cell, homes = cell_bodies(profile), home_positions(profile)
-    q = draw_pool(cell, profile, "right", 300, np.random.default_rng(2)).q
+    q = sample_pool(cell, profile, "right", 300, np.random.default_rng(2)).q
     reached = ArmRoadmap(profile, cell, "right", np.random.default_rng(2)).reaches(q)
     assert 0.5 < reached.mean() < 0.98
     alone = replace(cell, arms={"right": cell.arms["right"]})

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from cellapp.cell.driving.collect import collect_run
-from cellapp.cell.planning.candidates import CandidatePool, draw_pool
-from cellapp.cell.planning.designed import select_stops
-from cellapp.cell.planning.information import InformationModel, drawn_conditions, information_model
+from cellapp.cell.planning.candidates import CandidatePool, sample_pool
+from cellapp.cell.planning.designed_plan import select_stops
+from cellapp.cell.planning.information import InformationModel, information_model, sampled_conditions
 from cellapp.cell.planning.planned_stops import planned_time, read_planned_stops
 from cellapp.cell.planning.records import PlanCheckResult, PlanForecastResult
 from cellapp.cell.planning.sweeps import SweepDesign
@@ -26,7 +26,7 @@ from cellapp.commands.plan.check_view import check_sentences, forecast_sentences
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import Cancelled, CancelToken, Progress
+from cellapp.ground.progress import Cancelled, JobToken, Progress
 from cellapp.robot.paths.joint_path import Sweep
 from tests.twin import PROFILES, small_twin, with_arms
 
@@ -54,7 +54,7 @@ def with_plan(folder: Path, profile: Profile, **q: np.ndarray) -> RunFile:
 def test_a_plan_that_was_just_made_is_safe(planned: Path) -> None:
     heard: list[Progress] = []
     with RunFile.open(planned) as run:
-        result = check_plan_run(run, heard.append)
+        result = check_plan_run(run, JobToken(heard.append))
     assert (result.stops, result.ways) == (STOPS + 2, STOPS + 3)
     assert [one for one in result.refused if one.configuration is not None or not one.is_avoided] == []
     assert result.is_safe, "home may be reached one arm after the other"
@@ -105,12 +105,12 @@ def test_a_way_that_goes_home_first_is_safe(tmp_path: Path, monkeypatch: pytest.
 
 
 def test_a_check_is_cancelled_and_needs_a_plan(planned: Path, tmp_path: Path) -> None:
-    token = CancelToken()
+    token = JobToken()
     token.cancel()
     with RunFile.open(planned) as run:
         for foresee in (check_plan_run, forecast_run):
             with pytest.raises(Cancelled):
-                foresee(run, cancel=token)
+                foresee(run, token)
     with RunFile.create(tmp_path / "imported", small_twin()) as run:
         for foresee in (check_plan_run, forecast_run):
             with pytest.raises(InputError, match="the run has no plan"):
@@ -226,7 +226,7 @@ Pools = Mapping[str, CandidatePool]
 
 def drawn(profile: Profile, count: int = POOL) -> Pools:
     cell, rng = cell_bodies(profile), np.random.default_rng(3)
-    return {name: draw_pool(cell, profile, name, count, rng) for name in cell.arms}
+    return {name: sample_pool(cell, profile, name, count, rng) for name in cell.arms}
 
 
 @pytest.fixture(scope="module")
@@ -246,7 +246,7 @@ def chosen(twin: Profile, pools: Pools) -> Mapping[str, np.ndarray]:
 
 def model_of(profile: Profile, pools: Pools, name: str = "left") -> InformationModel:
     others = {other: pool.q for other, pool in pools.items() if other != name}
-    conditions = drawn_conditions(profile, name, pools[name].q, others, np.random.default_rng(0))
+    conditions = sampled_conditions(profile, name, pools[name].q, others, np.random.default_rng(0))
     return information_model(profile, name, pools[name].q, conditions)
 
 

@@ -31,7 +31,7 @@ from cellapp.cell.safety.gate import predicted_smr, refuse_motion
 from cellapp.commands.plan.run import freeze_stops, new_planned_run, replan
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import Cancelled, CancelToken, Progress
+from cellapp.ground.progress import Cancelled, JobToken, Progress
 from drivers.plant.clearance import segment_distances
 from tests.cell.planning.planned_cells import same_stops, some_stops
 from tests.twin import small_twin, with_arms
@@ -137,7 +137,7 @@ def test_where_nothing_can_be_seen_planning_ends_in_words(
     spoilt: Any, cause: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     profile = spoilt(small_twin(3))
-    monkeypatch.setattr("cellapp.cell.planning.candidates._MOST_DRAWS", 20_000)
+    monkeypatch.setattr("cellapp.cell.planning.candidates._MOST_SAMPLES", 20_000)
     with pytest.raises(InputError, match=f"arm left: none of 20000 random configurations .*{cause}"):
         plan_stops(profile)
 
@@ -164,13 +164,13 @@ def test_a_plan_is_stored_reported_and_cancelled(tmp_path: Any) -> None:
     profile = small_twin(12, plan={"method": "random"})
     heard: list[Progress] = []
     with RunFile.create(tmp_path / "run", profile) as run:
-        plans = plan_run(run, heard.append)
+        plans = plan_run(run, JobToken(heard.append))
         for name, q in run.read_plan().items():
             np.testing.assert_array_equal(q, plans.q[name])
     assert [(event.done, event.total) for event in heard] == [(0, 12), (10, 12), (12, 12)]
-    token = CancelToken()
+    token = JobToken(lambda event: token.cancel())
     with pytest.raises(Cancelled):
-        plan_stops(profile, lambda event: token.cancel(), token)
+        plan_stops(profile, token)
 
 
 # -- Plans by the method of the profile: alone, around kept stops, for one arm, down to a single stop ------------------
@@ -189,7 +189,7 @@ def one_arm(profile: Profile) -> Profile:
 
 def test_the_choice_of_stops_says_how_far_it_is_and_every_part_ends() -> None:
     events: list[Progress] = []
-    make_stops(quick(30), events.append)
+    make_stops(quick(30), JobToken(events.append))
     newest = {event.job: event for event in events}
     assert all(one.done == one.total for one in newest.values())
     assert len({event.done for event in events if event.job == "select"}) > 5

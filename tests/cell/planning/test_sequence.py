@@ -15,7 +15,7 @@ from hypothesis.extra import numpy as hnp
 from scipy.optimize import lsq_linear
 
 from cellapp.cell.planning.balance import correlations, travel_time
-from cellapp.cell.planning.plan import draw_stops
+from cellapp.cell.planning.plan import sample_stops
 from cellapp.cell.planning.planned_stops import PlannedStops, route_s
 from cellapp.cell.planning.sequence import Sequenced, nearest_turns, sequenced
 from cellapp.cell.planning.transit_paths import TransitPath, TransitPlanner
@@ -25,7 +25,7 @@ from cellapp.cell.safety.gate import CellBodies, refuse_motion
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import BoxObstacle, CylinderObstacle, Placement
-from cellapp.ground.progress import Cancelled, CancelToken
+from cellapp.ground.progress import Cancelled, JobToken
 from tests.cell.planning.planned_cells import one_arm, planned_twin, refusals, seven_joints, three_arms
 from tests.twin import with_arms
 
@@ -36,7 +36,7 @@ SPARE = 1.2
 def planned(profile: Profile, seed: int = 1, **rest) -> Sequenced:
     cell = cell_bodies(profile)
     count = math.ceil(SPARE * (profile.plan.stops + profile.plan.reserve))
-    chosen = draw_stops(cell, profile, count, np.random.default_rng(seed))
+    chosen = sample_stops(cell, profile, count, np.random.default_rng(seed))
     return sequenced(profile, cell, chosen, np.random.default_rng(seed), **rest)
 
 
@@ -163,7 +163,7 @@ def test_an_extension_begins_at_the_last_stop_that_exists() -> None:
     profile, before = large()
     cell, homes = cell_bodies(profile), home_positions(profile)
     kept = {name: q.copy() for name, q in before.q.items()}
-    chosen = draw_stops(cell, profile, 12, np.random.default_rng(9))
+    chosen = sample_stops(cell, profile, 12, np.random.default_rng(9))
     stops = sequenced(profile, cell, chosen, np.random.default_rng(9), after=kept).stops
     assert refusals(cell, stops, before.targets(99), homes) == []
     for name, q in kept.items():
@@ -175,7 +175,7 @@ def test_stops_that_no_motion_reaches_are_given_up_with_the_reason() -> None:
     """An arm below the floor is reached by nothing."""
     profile = planned_twin(6, repeats=0)
     cell = cell_bodies(profile)
-    chosen = draw_stops(cell, profile, 6, np.random.default_rng(1))
+    chosen = sample_stops(cell, profile, 6, np.random.default_rng(1))
     chosen["left"][:2, 1] = 1.2
     found = sequenced(profile, cell, chosen, np.random.default_rng(1))
     assert len(found.stops) <= 4
@@ -186,10 +186,10 @@ def test_stops_that_no_motion_reaches_are_given_up_with_the_reason() -> None:
 
 
 def test_planning_can_be_cancelled() -> None:
-    token = CancelToken()
+    token = JobToken()
     token.cancel()
     with pytest.raises(Cancelled):
-        planned(planned_twin(8), cancel=token)
+        planned(planned_twin(8), job=token)
 
 
 # -- Distances between segments: known cases, and every case against a search over both segments -----------------------
@@ -264,7 +264,7 @@ def test_a_way_leads_round_a_pillar() -> None:
 def test_arms_that_would_meet_go_another_way() -> None:
     profile = planned_twin(200)
     cell = cell_bodies(profile)
-    drawn = draw_stops(cell, profile, 200, np.random.default_rng(4))
+    drawn = sample_stops(cell, profile, 200, np.random.default_rng(4))
     q = {name: nearest_turns(profile, cell, name, rows) for name, rows in drawn.items()}
     stops = [{name: rows[k] for name, rows in q.items()} for k in range(200)]
     meeting = [one for one in pairwise(stops) if refuse_motion(cell, *one).startswith("arms ")][:3]
@@ -279,7 +279,7 @@ def test_arms_that_would_meet_go_another_way() -> None:
 def test_plans_among_obstacles_pass_the_gate(seed: int) -> None:
     profile = with_pillar(planned_twin(16))
     cell, homes = cell_bodies(profile), home_positions(profile)
-    chosen = draw_stops(cell, profile, 20, np.random.default_rng(seed))
+    chosen = sample_stops(cell, profile, 20, np.random.default_rng(seed))
     found = sequenced(profile, cell, chosen, np.random.default_rng(seed))
     assert len(found.stops) >= 14
     assert refusals(cell, found.stops, homes, homes) == []

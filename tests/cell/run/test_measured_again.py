@@ -22,7 +22,7 @@ from cellapp.cell.run.csv_import import WhichSmr
 from cellapp.cell.run.measured_again import earlier_readings, replace_stop, replaced_counts
 from cellapp.cell.run.measurement_order import in_measured_order
 from cellapp.cell.run.records import ArmOrder
-from cellapp.commands.calibrate.run import draw_missing_splits
+from cellapp.commands.calibrate.run import sample_missing_splits
 from cellapp.commands.import_ import ImportRequest
 from cellapp.commands.import_ import run as import_run
 from cellapp.estimation.readings import Reading, Readings
@@ -73,7 +73,7 @@ def test_the_newest_reading_counts_and_those_before_are_kept_as_they_were(run: R
 
 def test_a_stop_stays_in_its_split(run: RunFile) -> None:
     with pytest.raises(InputError, match="at least 4 and 1"):  # two are too few: later ones would have no split
-        draw_missing_splits(run)
+        sample_missing_splits(run)
     run.assign_splits("left", ["identify", "validate"])
     replace_stop(run, 1, {"left": seen(2, 2.0), "right": seen(3, 2.0)})
     assert run.readings("left").split == ("identify", "validate")
@@ -84,7 +84,7 @@ def test_what_stops_to_come_are_for_is_said_when_splits_are_drawn(tmp_path: Path
     with planned_run(tmp_path / "early", 22) as run:
         for stop in range(20):
             add_stop(run, stop)
-        *_, note = draw_missing_splits(run)
+        *_, note = sample_missing_splits(run)
     assert note.startswith("2 planned stops are not measured: splits are drawn once")
 
 

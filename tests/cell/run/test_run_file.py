@@ -352,7 +352,7 @@ def run(tmp_path: Path) -> RunFile:
     return RunFile.create(tmp_path / "run", small_twin(4))
 
 
-def test_a_doubt_survives_a_restart_and_other_arms(run: RunFile) -> None:
+def test_a_fault_survives_a_restart_and_other_arms(run: RunFile) -> None:
     note_halt(run, "left", LOST)
     note_halt(run, "right", Halt("not seen at rest", "arm right: link lost"))
     note_halt(run, "right", Halt("at rest", "seen"))

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cellapp.cell.planning.candidates import draw_pool
+from cellapp.cell.planning.candidates import sample_pool
 from cellapp.cell.planning.view import why_hidden as hidden_words
 from cellapp.cell.safety.bodies import ArmBodies, TrackerField, place, segment_distance
 from cellapp.cell.safety.cell_bodies import cell_bodies, cover, home_positions
@@ -398,7 +398,7 @@ def test_a_mounted_obstacle_is_named() -> None:
 def test_there_is_a_reason_exactly_where_the_gate_sees_nothing() -> None:
     profile = small_twin()
     cell, rng = cell_bodies(profile), np.random.default_rng(6)
-    usable = {name: draw_pool(cell, profile, name, 60, rng).q for name in cell.arms}
+    usable = {name: sample_pool(cell, profile, name, 60, rng).q for name in cell.arms}
     q = {name: np.concatenate([seen, rng.uniform(-2.0, 2.0, (60, 6))]) for name, seen in usable.items()}
     seen = visible_stops(cell, q)
     assert 20 < seen.sum() < 100

@@ -139,7 +139,7 @@ def of_all_shapes(folder: Path) -> Profile:
 Motion = tuple[dict[str, np.ndarray], dict[str, np.ndarray]]
 
 
-def drawn_motions(cell: CellBodies, homes: dict[str, np.ndarray], count: int, seed: int) -> list[Motion]:
+def sampled_motions(cell: CellBodies, homes: dict[str, np.ndarray], count: int, seed: int) -> list[Motion]:
     rng = np.random.default_rng(seed)
     stops = [{name: q + rng.uniform(-1.6, 1.6, len(q)) for name, q in homes.items()} for _ in range(2 * count)]
     return list(zip(stops[:count], stops[count:], strict=True))
@@ -149,7 +149,7 @@ def test_motions_that_the_gate_admits_collide_with_nothing(folder: Path) -> None
     pytest.importorskip("coal")
     profile = of_all_shapes(folder)
     cell = cell_bodies(profile)
-    motions = drawn_motions(cell, home_positions(profile), 120, 11)
+    motions = sampled_motions(cell, home_positions(profile), 120, 11)
     admitted = [motion for motion in motions if not refuse_motion(cell, *motion)]
     assert len(admitted) > 12
     check = CollisionCheck(profile)
@@ -182,7 +182,7 @@ def test_stops_that_the_gate_refuses_for_a_collision_collide(folder: Path) -> No
     standing = {name: one for name, one in profile.obstacles.items() if one.fixed_to != "flange"}
     profile = profile.model_copy(update={"obstacles": standing})
     cell = cell_bodies(profile)
-    stops = [motion[0] for motion in drawn_motions(cell, home_positions(profile), 300, 2)]
+    stops = [motion[0] for motion in sampled_motions(cell, home_positions(profile), 300, 2)]
     together = {name: np.array([stop[name] for stop in stops]) for name in stops[0]}
     refusals = [refuse_stop(cell, stop) for stop in stops]
     assert clear_stops(cell, together).tolist() == [not refusal for refusal in refusals]

@@ -62,7 +62,7 @@ def test_compensated_targets_are_met_to_the_trackers_noise(
     run: RunFile, model: CellModel, commands: tuple[Command, ...], cells: list[Any]
 ) -> None:
     heard: list[Progress] = []
-    found = push(run.profile, model, commands, heard.append, verify=True)
+    found = push(run.profile, model, commands, JobControl(heard.append), verify=True)
     assert [(target.name, target.note) for target in found.targets] == [(t.name, "") for t in TARGETS]
     for name in ("left", "right"):
         nominal, compensated = found.arms[name].nominal_mm, found.arms[name].compensated_mm
@@ -131,16 +131,9 @@ def test_without_verification_nothing_is_measured_and_an_earlier_one_is_kept(run
 def test_cancelled_between_targets(
     run: RunFile, model: CellModel, commands: tuple[Command, ...], cells: list[Any]
 ) -> None:
-    control = JobControl()
+    control = JobControl(lambda event: control.stop() if event.done == 1 else None)
     with pytest.raises(Cancelled):
-        push(
-            run.profile,
-            model,
-            commands,
-            lambda event: control.stop() if event.done == 1 else None,
-            control,
-            verify=True,
-        )
+        push(run.profile, model, commands, control, verify=True)
     plant = plant_of(cells[0])
     before = {name: plant.q(name) for name in plant.names}
     plant.advance(60.0)
@@ -160,14 +153,9 @@ def test_a_fault_on_the_way_stops_everything(
             yield cell
 
     monkeypatch.setattr("cellapp.cell.driving.supervision.open_cell", failing)
+    control = JobControl(lambda event: opened[0].arms["left"].protective_stop() if event.done == 2 else None)
     with pytest.raises(HardwareError, match="arm left: protective stop"):
-        push(
-            run.profile,
-            model,
-            commands,
-            lambda event: opened[0].arms["left"].protective_stop() if event.done == 2 else None,
-            verify=True,
-        )
+        push(run.profile, model, commands, control, verify=True)
     assert not any(plant_of(opened[0]).moving(name) for name in ("left", "right"))
 
 

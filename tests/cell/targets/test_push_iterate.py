@@ -35,7 +35,7 @@ from cellapp.commands.stored_model import model_of
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY
-from cellapp.ground.progress import Cancelled, ignore
+from cellapp.ground.progress import Cancelled
 from cellapp.ground.results import CALIBRATE
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import CellModel
@@ -240,12 +240,12 @@ def spec(**changes: Any) -> PathSpec:
     return PathSpec.model_validate({**content, **changes})
 
 
-WORK = Work(ignore, JobControl(), lambda _: None, NEW_ONLY)
+WORK = Work(JobControl(), lambda _: None, NEW_ONLY)
 OUT_OF_REACH = spec(name="far", poses=[spec().poses[0], {"position": [0.2, 3.0, 0.45]}])
 
 
 def test_a_path_is_written_and_stored_and_nothing_moves(run: RunFile, cells: list[Any], tmp_path: Path) -> None:
-    result = compensate_paths(run, [spec(), OUT_OF_REACH], tmp_path / "q.csv")
+    result = compensate_paths(run, [spec(), OUT_OF_REACH], out=tmp_path / "q.csv")
     assert cells == []
     assert read_results(run).path == result
     assert PathResult.from_json(result.to_json(), "test") == result
@@ -266,7 +266,7 @@ def test_a_path_is_written_and_stored_and_nothing_moves(run: RunFile, cells: lis
 
 
 def test_a_program_streams_the_path_from_home_and_back(run: RunFile, model: CellModel, tmp_path: Path) -> None:
-    result = compensate_paths(run, [spec(), OUT_OF_REACH], tmp_path / "q.script")
+    result = compensate_paths(run, [spec(), OUT_OF_REACH], out=tmp_path / "q.script")
     text = (tmp_path / "q.script").read_text("utf-8")
     assert result.files == (str(tmp_path / "q.script"),)
     assert text.startswith("# Compensated joint paths as URScript, by cellapp, of a simulated cell.\n")
@@ -295,7 +295,7 @@ def test_each_arm_has_a_program_of_its_own(run: RunFile, tmp_path: Path) -> None
 
 def test_what_cannot_be_written_is_refused(run: RunFile, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"written as \.csv or \.script, not as \.txt"):
-        compensate_paths(run, [spec()], tmp_path / "q.txt")
+        compensate_paths(run, [spec()], out=tmp_path / "q.txt")
     targets = {"folder": run.folder, "targets": PROFILES / "targets" / "twin.yaml", "out": tmp_path / "q.csv"}
     with pytest.raises(InputError, match="--out is for path files"):
         run_compensate(VERB.asked(targets), WORK)  # type: ignore[arg-type]

@@ -191,9 +191,9 @@ def test_a_single_outlier_does_not_end_the_job() -> None:
 
 
 def test_what_was_measured_before_a_stop_is_kept(run: RunFile, cells: list[Any]) -> None:
-    control = JobControl()
+    control = JobControl(lambda event: control.stop() if event.done == 3 else None)
     with pytest.raises(Cancelled):
-        push_run(run, TARGETS, lambda event: control.stop() if event.done == 3 else None, control, verify=True)
+        push_run(run, TARGETS, control, verify=True)
     stored = read_results(run).verify
     assert stored is not None
     assert [target.name for target in stored.targets] == [target.name for target in TARGETS[:3]]

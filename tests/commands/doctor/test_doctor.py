@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from cellapp.cell.driving.cell import build_plant
-from cellapp.cell.driving.examination import LONGEST_PROBE_S, examine
+from cellapp.cell.driving.diagnosis import LONGEST_PROBE_S, examine
 from cellapp.cell.profile import load_profile
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import refuse_stop
@@ -24,7 +24,7 @@ from cellapp.commands.emulate import EmulatedArm, EmulateResult, emulate, emulat
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import BoxObstacle, CapsuleObstacle, Placement, SphereObstacle
-from cellapp.ground.progress import CancelToken
+from cellapp.ground.progress import JobToken
 from drivers.arms.protocol import JointLimits, LinkLost
 from drivers.arms.ur_probe import UrKinematics, UrProbe, probe_ur
 from drivers.arms.ur_rtde_reader import UrSample
@@ -247,7 +247,7 @@ def test_dead_hosts_are_asked_at_the_same_time_and_not_for_long(real: Profile) -
 
 def test_looking_at_a_twin_loads_neither_torch_nor_a_device_library() -> None:
     code = (
-        "import sys; from pathlib import Path; from cellapp.cell.driving.examination import examine;"
+        "import sys; from pathlib import Path; from cellapp.cell.driving.diagnosis import examine;"
         f" from cellapp.cell.profile import load_profile; examine(load_profile(Path({str(PROFILES / 'twin.yaml')!r})));"
         " sys.exit(','.join({'torch', 'rtde_control', 'serial', 'clr'} & set(sys.modules)) or None)"
     )
@@ -310,7 +310,7 @@ def test_only_ur_arms_are_stood_in_for(twin: Profile) -> None:
 
 def test_the_doctor_finds_emulated_controllers_until_they_are_cancelled(real: Profile) -> None:
     profile = with_driver(with_driver(real, "left", host="127.0.0.2"), "right", host="127.0.0.3")
-    cancel = CancelToken()
+    cancel = JobToken()
     listening: list[EmulatedArm] = []
 
     def at_their_ports(host: str, timeout_s: float) -> UrProbe:
@@ -347,7 +347,7 @@ def test_a_port_in_use_is_named_and_nothing_is_left_open(twin: Profile) -> None:
         left, right = on_free_ports(twin)
         arms = [left, right.model_copy(update={"dashboard_port": taken})]
         with pytest.raises(HardwareError, match=rf"arm right: cannot listen on 127\.0\.0\.3:{taken}"):
-            emulate(twin, CancelToken(), lambda _: None, arms)
+            emulate(twin, JobToken(), lambda _: None, arms)
     assert threading.active_count() == before
 
 
@@ -369,7 +369,7 @@ def test_a_simulated_cell_that_fails_ends_the_emulation(twin: Profile, monkeypat
     monkeypatch.setattr("cellapp.commands.emulate.build_plant", fails_once_it_runs)
     before = threading.active_count()
     with pytest.raises(HardwareError, match=r"cannot go on \(FloatingPointError: no equilibrium\)"):
-        emulate(twin, CancelToken(), lambda _: up.set(), on_free_ports(twin))
+        emulate(twin, JobToken(), lambda _: up.set(), on_free_ports(twin))
     assert threading.active_count() == before
 
 

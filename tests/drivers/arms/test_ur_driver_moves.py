@@ -413,10 +413,10 @@ def test_positions_from_before_a_motion_do_not_end_it(delayed: Any) -> None:
 
 def test_an_arm_that_does_not_reach_its_goal_is_reported(delayed: Any) -> None:
     _, monitor = delayed
-    doubt, answer = monitor(1.0)
+    told, answer = monitor(1.0)
     assert (answer["error"], answer["id"]) == ("failed", 7)
     assert "cut short: it rests 20.05 deg from its goal" in answer["text"]
-    assert doubt == {"doubt": "failed", "text": answer["text"]}
+    assert told == {"fault": "failed", "text": answer["text"]}
 
 
 def test_a_stop_by_the_application_is_not_a_fault_even_if_its_message_comes_late(delayed: Any) -> None:
@@ -437,11 +437,11 @@ def test_a_stop_by_something_else_is_a_fault(delayed: Any, moves_at_once: bool) 
     client.playing = False
     if moves_at_once:
         monitor(0.02)
-        doubt, answer = monitor(0.01, MOVE)[-2:]
+        told, answer = monitor(0.01, MOVE)[-2:]
     else:
-        doubt, answer = monitor(0.4)
+        told, answer = monitor(0.4)
     assert "its program ended; possible: it was stopped on the pendant" in answer["text"]
-    assert doubt["doubt"] == "failed"
+    assert told["fault"] == "failed"
 
 
 def test_a_program_that_was_stopped_in_local_control_says_so(delayed: Any) -> None:
@@ -456,16 +456,16 @@ def test_an_application_that_falls_silent_stops_its_arm(delayed: Any) -> None:
     client, monitor = delayed
     client.running, client.q = True, list(AWAY)
     assert monitor(0.4, beats=False) == []
-    doubt, answer = monitor(0.3, beats=False)
-    assert (doubt["doubt"], answer["error"]) == ("stalled", "stalled")
-    assert "silent for 0.5 s" in doubt["text"]
+    told, answer = monitor(0.3, beats=False)
+    assert (told["fault"], answer["error"]) == ("stalled", "stalled")
+    assert "silent for 0.5 s" in told["text"]
 
 
 def test_an_application_that_falls_silent_at_rest_needs_a_person_too(delayed: Any) -> None:
     client, monitor = delayed
     client.q = list(AWAY)
     monitor(0.3)
-    assert "stalled" in [message.get("doubt") for message in monitor(2.0, beats=False)]
+    assert "stalled" in [message.get("fault") for message in monitor(2.0, beats=False)]
     assert monitor(0.1, {"do": "state"})[-1]["ok"]["fault"]["kind"] == "stalled"
 
 
@@ -504,8 +504,8 @@ def test_a_command_that_is_not_served_because_this_computer_stalled_says_so(
         return bool(client.end_program())
 
     monkeypatch.setattr(client, command, stalled)
-    doubt, answer = monitor(0.01, asked)[-2:]
-    assert (doubt["doubt"], answer["error"]) == ("stalled", "stalled")
+    told, answer = monitor(0.01, asked)[-2:]
+    assert (told["fault"], answer["error"]) == ("stalled", "stalled")
     assert "this computer was silent for 0.3" in answer["text"]
 
 

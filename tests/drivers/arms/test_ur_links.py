@@ -45,12 +45,12 @@ class Heard:
     """A listener that keeps what it was told, and when."""
 
     def __init__(self, arm: UrArm) -> None:
-        self.doubts: list[tuple[float, ArmError]] = []
-        arm.watch(lambda error: self.doubts.append((time.monotonic(), error)))
+        self.faults: list[tuple[float, ArmError]] = []
+        arm.watch(lambda error: self.faults.append((time.monotonic(), error)))
 
     def first(self) -> tuple[float, ArmError]:
-        until(lambda: bool(self.doubts), "the listener is told")
-        return self.doubts[0]
+        until(lambda: bool(self.faults), "the listener is told")
+        return self.faults[0]
 
 
 # -- confirm ----------------------------------------------------------------------------------------------------------
@@ -81,7 +81,7 @@ UNCONFIRMED: dict[str, tuple[Any, ...] | signal.Signals] = {
 }
 
 
-def link_that_does_not_answer_is_a_doubt(emulator: EmulatorProcess, arm: UrArm, *, what: str) -> None:
+def link_that_does_not_answer_is_a_fault(emulator: EmulatorProcess, arm: UrArm, *, what: str) -> None:
     for took in attempts(raised=0.3 + BUSY_S):
         make_ready(emulator, arm)
         heard = Heard(arm)
@@ -95,7 +95,7 @@ def link_that_does_not_answer_is_a_doubt(emulator: EmulatorProcess, arm: UrArm, 
         with pytest.raises(LinkLost, match=f"arm {arm.name}: "):
             arm.confirm()
         took["raised"] = time.monotonic() - began_s
-        assert heard.doubts
+        assert heard.faults
         with pytest.raises(LinkLost):
             arm.confirm()
         repair(emulator, arm.name)
@@ -124,9 +124,9 @@ def lost_dashboard_is_noticed(emulator: EmulatorProcess, arm: UrArm, *, how: str
         heard = Heard(arm)
         began_s = time.monotonic()
         emulator.control(arm.name, "fault", "dashboard", how)
-        told_s, doubt = heard.first()
-        assert isinstance(doubt, LinkLost)
-        assert "the dashboard, over which it is stopped, does not answer" in str(doubt)
+        told_s, told = heard.first()
+        assert isinstance(told, LinkLost)
+        assert "the dashboard, over which it is stopped, does not answer" in str(told)
         took["told"] = told_s - began_s
 
 
@@ -144,13 +144,13 @@ def stop_does_not_wait_for_the_answer_to_a_question(emulator: EmulatorProcess, a
                 arm.brake()
 
 
-def dashboard_that_closes_and_opens_again_is_no_doubt(emulator: EmulatorProcess, arm: UrArm) -> None:
+def dashboard_that_closes_and_opens_again_is_no_fault(emulator: EmulatorProcess, arm: UrArm) -> None:
     heard = Heard(arm)
     for _ in range(5):
         emulator.control(arm.name, "drop", "dashboard", "fin")
         until(lambda: emulator.control(arm.name, "status")["connections"]["dashboard"] == 1, "it is open again")
         pause(0.2)  # a question was answered
-    assert heard.doubts == []
+    assert heard.faults == []
 
 
 # -- live -------------------------------------------------------------------------------------------------------------
@@ -186,7 +186,7 @@ def live_grows_old(emulator: EmulatorProcess, arm: UrArm, *, what: str) -> None:
 
 
 def unconfirmed(what: str) -> Episode:
-    return partial(link_that_does_not_answer_is_a_doubt, what=what)
+    return partial(link_that_does_not_answer_is_a_fault, what=what)
 
 
 def lost(how: str) -> Episode:
@@ -201,7 +201,7 @@ EPISODES: dict[str, list[Episode]] = {
     "left": [
         links_that_answer_are_confirmed_quickly, unconfirmed("dashboard refused"), unconfirmed("rtde silent"),
         unconfirmed("worker killed"), lost("refuse"), live_is_fresh_and_knows_a_motion, old("worker hung"),
-        dashboard_that_closes_and_opens_again_is_no_doubt, old("rtde silent"),
+        dashboard_that_closes_and_opens_again_is_no_fault, old("rtde silent"),
     ],
     "right": [
         links_that_answer_are_confirmed_quickly, unconfirmed("dashboard silent"), unconfirmed("worker hung"),

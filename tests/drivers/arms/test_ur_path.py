@@ -206,7 +206,7 @@ def every_sample_is_recorded(emulator: EmulatorProcess, arm: UrArm) -> None:
 
 
 def recording_loses_its_link(emulator: EmulatorProcess, arm: UrArm) -> None:
-    """The record says so; the arm has its own links, and a doubt of its own."""
+    """The record says so; the arm has its own links, and a fault of its own."""
     assert isinstance(arm, UrPathArm)
     arm.start_recording()
     emulator.control(arm.name, "drop", "rtde", "fin")

@@ -1,4 +1,4 @@
-"""Stops and doubts of a UR arm with the real client: what reaches the controller, how soon, and what is reported."""
+"""Stops and faults of a UR arm with the real client: what reaches the controller, how soon, and what is reported."""
 
 from __future__ import annotations
 
@@ -93,12 +93,12 @@ class Heard:
     """A listener that keeps what it was told, and when."""
 
     def __init__(self, arm: UrArm) -> None:
-        self.doubts: list[tuple[float, ArmError]] = []
-        arm.watch(lambda error: self.doubts.append((time.monotonic(), error)))
+        self.faults: list[tuple[float, ArmError]] = []
+        arm.watch(lambda error: self.faults.append((time.monotonic(), error)))
 
     def first(self) -> tuple[float, ArmError]:
-        until(lambda: bool(self.doubts), "the listener is told")
-        return self.doubts[0]
+        until(lambda: bool(self.faults), "the listener is told")
+        return self.faults[0]
 
 
 # -- brake ------------------------------------------------------------------------------------------------------------
@@ -225,7 +225,7 @@ def slider_at_0_keeps_a_braked_arm_stopped(emulator: EmulatorProcess, arm: UrArm
     go(arm, AWAY)
 
 
-# -- doubts -----------------------------------------------------------------------------------------------------------
+# -- faults -----------------------------------------------------------------------------------------------------------
 
 PUSHED: dict[str, tuple[tuple[Any, ...] | None, type[ArmError], float]] = {
     "fin": (("drop", "rtde", "fin"), LinkLost, 0.0),
@@ -243,16 +243,16 @@ PUSHED_AT_ONCE = {
 }
 
 
-def test_a_doubt_is_pushed_before_it_is_diagnosed(emulator: EmulatorProcess, drivers: dict[str, UrArm]) -> None:
-    in_parallel(doubts_are_pushed, [(emulator, drivers[name], faults) for name, faults in PUSHED_AT_ONCE.items()])
+def test_a_fault_is_pushed_before_it_is_diagnosed(emulator: EmulatorProcess, drivers: dict[str, UrArm]) -> None:
+    in_parallel(faults_are_pushed, [(emulator, drivers[name], faults) for name, faults in PUSHED_AT_ONCE.items()])
 
 
-def doubts_are_pushed(emulator: EmulatorProcess, arm: UrArm, faults: list[str]) -> None:
+def faults_are_pushed(emulator: EmulatorProcess, arm: UrArm, faults: list[str]) -> None:
     for fault in faults:
-        doubt_is_pushed(emulator, arm, fault)
+        fault_is_pushed(emulator, arm, fault)
 
 
-def doubt_is_pushed(emulator: EmulatorProcess, arm: UrArm, fault: str) -> None:
+def fault_is_pushed(emulator: EmulatorProcess, arm: UrArm, fault: str) -> None:
     for took in attempts(told=PUSHED[fault][2] + TOLD_WITHIN_S):
         make_ready(emulator, arm)
         heard = Heard(arm)
@@ -260,7 +260,7 @@ def doubt_is_pushed(emulator: EmulatorProcess, arm: UrArm, fault: str) -> None:
     arm.connect()
     go(arm, AWAY)
     emulator.control(arm.name, "drop", "rtde", "rst")
-    until(lambda: len(heard.doubts) == 2, "the first doubt after the next connect is told")
+    until(lambda: len(heard.faults) == 2, "the first doubt after the next connect is told")
 
 
 def told_of(emulator: EmulatorProcess, arm: UrArm, fault: str, heard: Heard) -> float:
@@ -277,17 +277,17 @@ def told_of(emulator: EmulatorProcess, arm: UrArm, fault: str, heard: Heard) -> 
     with pytest.raises(error):
         arm.wait_settled(PATIENT_S)
     raised_s = time.monotonic()
-    heard_s, doubt = heard.first()
-    assert type(doubt) is error
-    assert str(doubt).startswith(f"arm {arm.name}: ")
+    heard_s, told = heard.first()
+    assert type(told) is error
+    assert str(told).startswith(f"arm {arm.name}: ")
     assert heard_s <= raised_s
     repair(emulator, arm.name)
     assert_braked(emulator, arm.name, began_s)
-    assert len(heard.doubts) == 1
+    assert len(heard.faults) == 1
     return heard_s - began_s
 
 
-def worker_that_does_not_run_is_a_doubt(emulator: EmulatorProcess, arm: UrArm) -> None:
+def worker_that_does_not_run_is_a_fault(emulator: EmulatorProcess, arm: UrArm) -> None:
     for took in attempts(told=KNOWN_WITHIN_S + TOLD_WITHIN_S, received=COMMANDED_WITHIN_S):
         make_ready(emulator, arm)
         heard = Heard(arm)
@@ -295,8 +295,8 @@ def worker_that_does_not_run_is_a_doubt(emulator: EmulatorProcess, arm: UrArm) -
         assert arm.worker_pid is not None
         began_s = time.monotonic()
         os.kill(arm.worker_pid, signal.SIGSTOP)
-        heard_s, doubt = heard.first()
-        assert isinstance(doubt, LinkLost | HostStalled)
+        heard_s, told = heard.first()
+        assert isinstance(told, LinkLost | HostStalled)
         asked_s = time.monotonic()
         arm.brake()
         assert_braked(emulator, arm.name, began_s)
@@ -308,7 +308,7 @@ def worker_that_does_not_run_is_a_doubt(emulator: EmulatorProcess, arm: UrArm) -
 
 
 def test_a_stall_of_this_computer_is_named(emulator: EmulatorProcess, drivers: dict[str, UrArm]) -> None:
-    """The worker does not run until the watchdog has expired, but not long enough for other doubts."""
+    """The worker does not run until the watchdog has expired, but not long enough for other faults."""
     drivers["right"].disconnect()
     with driven("right", UrSettings(host=HOSTS["right"], watchdog_hz=10.0)) as arm:
         for took in attempts(frozen=FROZEN_S):
@@ -411,14 +411,14 @@ def slider_to_zero(emulator: EmulatorProcess, arm: UrArm, heard: Heard) -> None:
         arm.wait_settled(1.6)  # a motion that stands at full speed is a fault after 1 s
     state = arm.state()
     assert (state.speed_fraction, state.ready, state.moving) == (0.0, True, True)
-    assert heard.doubts == []
+    assert heard.faults == []
 
 
 def slider_up_again(emulator: EmulatorProcess, arm: UrArm, heard: Heard) -> None:
     emulator.control(arm.name, "slider", 0.5)
     arm.wait_settled(PATIENT_S)
     assert arm.state().speed_fraction == 0.5
-    assert heard.doubts == []
+    assert heard.faults == []
     emulator.control(arm.name, "slider", 0.0)
     with pytest.raises(ArmError, match=f"arm {arm.name}: the speed slider is at 0 %"):
         arm.start_move(AWAY, SPEED, ACCELERATION)
@@ -499,7 +499,7 @@ EPISODES: dict[str, list[Episode]] = {
         suspended_application_does_not_leave_its_arm_moving, asked_about_joint_positions,
         brake_without_its_open_line, local_control_is_named_after_a_stop,
         unconfirmed_brake_says_so_and_stops_all_the_same, local_control_is_named_when_a_stop_is_refused,
-        worker_that_does_not_run_is_a_doubt, refusal_brakes_without_a_thread,
+        worker_that_does_not_run_is_a_fault, refusal_brakes_without_a_thread,
     ],
 }  # fmt: skip
 

@@ -39,7 +39,7 @@ from drivers.arms.ur_motion import Unrest
 from drivers.arms.ur_probe import UrProbe
 from drivers.arms.ur_rtde_reader import UrSample
 from drivers.arms.ur_settings import UrSettings
-from drivers.arms.ur_supervised_link import REFUSALS, FirstDoubt, StopLine, arm_error, arm_state
+from drivers.arms.ur_supervised_link import REFUSALS, FirstFault, StopLine, arm_error, arm_state
 from drivers.arms.ur_worker_process import HeartbeatGaps, WorkerGone
 from drivers.patience import Patience
 from tests.drivers.arms.delayed_client import DelayedClient, Monitor
@@ -79,7 +79,7 @@ def assert_well_said(message: str, name: str = "left") -> None:
 
 
 def said(refusal: dict[str, Any]) -> str:
-    kind = refusal.get("doubt") or refusal["error"]
+    kind = refusal.get("fault") or refusal["error"]
     return str(arm_error("left", kind, refusal["text"]))
 
 
@@ -87,14 +87,14 @@ def said(refusal: dict[str, Any]) -> str:
 
 
 @pytest.mark.parametrize("mode", MODES)
-def test_a_safety_mode_says_what_to_do_in_the_doubt_the_error_and_the_state(delayed: Delayed, mode: str) -> None:
+def test_a_safety_mode_says_what_to_do_in_the_fault_the_error_and_the_state(delayed: Delayed, mode: str) -> None:
     client, monitor = delayed
     client.running = True
     client.safety, error = MODES[mode]
-    doubt, answer = monitor(0.05)[:2]
-    assert said(doubt) == said(answer)
-    assert_well_said(said(doubt))
-    assert type(arm_error("left", doubt["doubt"], doubt["text"])) is error
+    told, answer = monitor(0.05)[:2]
+    assert said(told) == said(answer)
+    assert_well_said(said(told))
+    assert type(arm_error("left", told["fault"], told["text"])) is error
     state = arm_state(monitor(0.01, {"do": "state"})[-1]["ok"], 0.005)
     assert not state.ready
     assert_well_said(f"arm left: not ready: {state.reason}")
@@ -186,8 +186,8 @@ def test_what_ends_a_path(delayed: Delayed, cause: str) -> None:
     known = len(monitor(0.0, {"do": "settled"}))
     act, words = ON_A_PATH[cause]
     act(client)
-    doubt, answer = monitor(2.0)[known:]
-    assert said(doubt) == said(answer)
+    told, answer = monitor(2.0)[known:]
+    assert said(told) == said(answer)
     assert words in said(answer)
     assert_well_said(said(answer))
 
@@ -244,10 +244,10 @@ def test_what_ends_the_worker(delayed: Delayed, monkeypatch: pytest.MonkeyPatch,
         monitor(1.0)
     monkeypatch.setattr(client.supervisor, "stream", lambda: None)
     monkeypatch.setattr(client.supervisor, "monitor", lambda: None)
-    doubt, lost = monitor(0.01)
-    assert (doubt["doubt"], lost["kind"], lost["lost"]) == (kind, kind, doubt["text"])
-    assert words in doubt["text"]
-    assert_well_said(said(doubt))
+    told, lost = monitor(0.01)
+    assert (told["fault"], lost["kind"], lost["lost"]) == (kind, kind, told["text"])
+    assert words in told["text"]
+    assert_well_said(said(told))
 
 
 @pytest.mark.parametrize("text", ["enable remote control", "already in use", "boost: 7"])
@@ -316,12 +316,12 @@ REASONS = {
 
 
 @pytest.mark.parametrize("kind", REASONS)
-def test_a_link_in_doubt(lonely: UrArm, kind: str) -> None:
+def test_a_link_of_unknown_state(lonely: UrArm, kind: str) -> None:
     error, why = REASONS[kind]
     heard: list[ArmError] = []
     lonely.watch(heard.append)
-    lonely._doubt.report()
-    raised = lonely._link_in_doubt(why, kind)
+    lonely._first_fault.report()
+    raised = lonely._link_fault(why, kind)
     assert type(raised) is type(heard[0]) is error
     for told in (raised, heard[0]):
         assert why in str(told)
@@ -355,7 +355,7 @@ def test_a_fault_is_told_rather_than_the_stop_that_followed(lonely: UrArm, monke
     lonely._worker = worker_that(lambda *_: {"fault": FAULT})
     with pytest.raises(ArmError, match="it left its rest"):
         lonely.confirm()
-    lonely._doubted("protective", "protective stop: go to the arm, see what stopped it")
+    lonely._report_fault("protective", "protective stop: go to the arm, see what stopped it")
     told = lonely._fault_or(MotionStopped("arm left: it was stopped"))
     assert "it left its rest" in str(told)
     lonely._worker = worker_that(lambda *_: {"fault": None})
@@ -419,51 +419,51 @@ def test_a_client_that_fails_ends_its_process_with_a_reason(monkeypatch: pytest.
     monkeypatch.setattr(os, "_exit", end)
     with pytest.raises(SystemExit, match="3"):
         worker.run()
-    hello, doubt, lost = map(json.loads, answers.getvalue().splitlines())
+    hello, told, lost = map(json.loads, answers.getvalue().splitlines())
     assert "hello" in hello
     reason = "its RTDE client failed (unable to get state data for specified key: robot_status)"
-    assert (doubt["text"], lost["lost"], lost["kind"]) == (reason, reason, "link")
-    assert_well_said(str(arm_error("left", doubt["doubt"], doubt["text"])))
+    assert (told["text"], lost["lost"], lost["kind"]) == (reason, reason, "link")
+    assert_well_said(str(arm_error("left", told["fault"], told["text"])))
 
 
 # -- Doubts about a UR arm: none is lost before somebody listens, and a later one of another kind is reported too ------
 
 
-def test_a_doubt_that_came_before_anybody_listened_is_delivered() -> None:
-    doubt, heard = FirstDoubt(), list[ArmError]()
-    doubt.report()
-    doubt.note(LinkLost("silent"), "silent")
-    doubt.watch(heard.append)
+def test_a_fault_that_came_before_anybody_listened_is_delivered() -> None:
+    told, heard = FirstFault(), list[ArmError]()
+    told.report()
+    told.note(LinkLost("silent"), "silent")
+    told.watch(heard.append)
     assert [str(error) for error in heard] == ["silent"]
-    doubt.note(ProtectiveStop("stopped"), "stopped")
+    told.note(ProtectiveStop("stopped"), "stopped")
     assert [str(error) for error in heard] == ["silent", "stopped"]
 
 
 def test_doubts_while_connecting_are_reported_when_connected() -> None:
-    doubt, heard = FirstDoubt(), list[ArmError]()
-    doubt.watch(heard.append)
-    doubt.note(HostStalled("stalled"), "stalled")
-    doubt.note(ProtectiveStop("stopped"), "stopped")
+    told, heard = FirstFault(), list[ArmError]()
+    told.watch(heard.append)
+    told.note(HostStalled("stalled"), "stalled")
+    told.note(ProtectiveStop("stopped"), "stopped")
     assert heard == []
-    doubt.report()
-    doubt.report()
+    told.report()
+    told.report()
     assert [str(error) for error in heard] == ["stalled", "stopped"]
-    assert isinstance(doubt.error, HostStalled)
+    assert isinstance(told.error, HostStalled)
 
 
 def test_one_of_each_kind_until_it_is_cleared() -> None:
-    doubt, heard = FirstDoubt(), list[ArmError]()
-    doubt.report()
-    doubt.watch(heard.append)
+    told, heard = FirstFault(), list[ArmError]()
+    told.report()
+    told.watch(heard.append)
     for _ in range(3):
-        doubt.note(LinkLost("silent"), "silent")
+        told.note(LinkLost("silent"), "silent")
     assert len(heard) == 1
-    doubt.clear()
-    assert doubt.error is None
-    doubt.note(LinkLost("silent again"), "silent again")
+    told.clear()
+    assert told.error is None
+    told.note(LinkLost("silent again"), "silent again")
     assert [str(error) for error in heard] == ["silent", "silent again"]
-    doubt.mute()
-    doubt.note(ProtectiveStop("stopped"), "stopped")
+    told.mute()
+    told.note(ProtectiveStop("stopped"), "stopped")
     assert len(heard) == 2
 
 

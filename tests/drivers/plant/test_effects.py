@@ -321,7 +321,7 @@ def test_many_plays_follow_their_history_in_a_batch_as_in_motion(make_arm, make_
 
 
 def test_a_wandering_drift_starts_at_zero_and_has_its_size():
-    paths = RandomPaths.drawn(5, 400, 1000.0)
+    paths = RandomPaths.sampled(5, 400, 1000.0)
     assert np.abs(paths.at(np.zeros(1))).max() < 1e-12
     long = paths.at(np.linspace(0.0, 5e5, 3000))
     assert (long - long.mean(axis=0)).std() == pytest.approx(1.0, rel=0.1)
@@ -330,7 +330,7 @@ def test_a_wandering_drift_starts_at_zero_and_has_its_size():
 
 
 def test_a_field_is_smooth_and_has_its_size():
-    fields = [RandomField.drawn(seed, 0.5) for seed in range(300)]
+    fields = [RandomField.sampled(seed, 0.5) for seed in range(300)]
     here, near, far = np.zeros((1, 3)), np.array([[0.05, 0.0, 0.0]]), np.array([[3.0, 0.0, 0.0]])
     values = np.array([[field.at(p)[0] for p in (here, near, far)] for field in fields])
     assert values[:, 0].std() == pytest.approx(1.0, rel=0.1)

@@ -491,10 +491,10 @@ VALUES = (
     "\u00e9%*", "1.5", "2.0", "-0.3", "0.001", *FAULTS,
 )  # fmt: skip
 
-Draw = random.Random
+EffectSampler = random.Random
 
 
-def line(draw: Draw, client: str) -> bytes:
+def line(draw: EffectSampler, client: str) -> bytes:
     """One line of the protocol, or nearly one."""
     if draw.random() < 0.15:
         return draw.randbytes(draw.choice([0, 1, 30, 3000])) + draw.choice([b"\n", b""])
@@ -521,7 +521,7 @@ def line(draw: Draw, client: str) -> bytes:
     return said
 
 
-def conversation(draw: Draw, address: tuple[str, int]) -> None:
+def conversation(draw: EffectSampler, address: tuple[str, int]) -> None:
     client = f"client{draw.randrange(10**6):06}"
     try:
         with socket.create_connection(address, 5.0) as link:

@@ -9,11 +9,17 @@ import sys
 import numpy as np
 import pytest
 
-from cellapp.estimation.calibration import learning
-from cellapp.estimation.calibration.learning import NetForm, candidate_shapes, learn, require_learner, train_network
+from cellapp.estimation.calibration import network_training
+from cellapp.estimation.calibration.network_training import (
+    NetForm,
+    candidate_shapes,
+    learn,
+    require_learner,
+    train_network,
+)
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Network
-from cellapp.ground.progress import Cancelled, CancelToken, JobSteps
+from cellapp.ground.progress import Cancelled, JobSteps, JobToken
 from cellapp.robot.model.model import network_from_json, network_to_json, rotate_about_z
 
 QUICK = Network(iterations=80)
@@ -147,7 +153,7 @@ def trained_in_batches():
     pytest.importorskip("torch", reason="torch, of the extra learn, is not installed")
     q = poses_in_batches(8_000)
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(learning, "_FEWEST_STEPS", 500)
+        patched.setattr(network_training, "_FEWEST_STEPS", 500)
         return learn(BATCHES, q, fine(q) + noise(len(q)), np.arange(8_000.0), seed=3)
 
 
@@ -172,7 +178,7 @@ def test_all_readings_show_what_a_sample_of_them_does_not(trained_in_batches):
 def test_blocks_are_cut_by_time_and_not_by_the_order_of_rows(monkeypatch):
     """Residuals that belong to a block of time and to no posture: folds drawn by reading would learn them."""
     pytest.importorskip("torch", reason="torch, of the extra learn, is not installed")
-    monkeypatch.setattr(learning, "_FEWEST_STEPS", 200)
+    monkeypatch.setattr(network_training, "_FEWEST_STEPS", 200)
     rng = np.random.default_rng(5)
     time_s = rng.permutation(2400).astype(float)
     block = (time_s // 100).astype(int)
@@ -192,7 +198,7 @@ def test_without_torch_the_extra_is_named(monkeypatch):
 
 def test_training_ends_on_request():
     pytest.importorskip("torch", reason="torch, of the extra learn, is not installed")
-    cancel = CancelToken()
+    cancel = JobToken()
 
     def stop(_done, words):
         if "in batches" in words:

@@ -38,7 +38,7 @@ from tests.approved import text_of
 from tests.arms import true_geometry
 from tests.evidence.shared.cells import TWIN, measured_plan
 from tests.evidence.shared.estimates import merged_values
-from tests.evidence.shared.series import draw_rows, load_entrant
+from tests.evidence.shared.series import load_entrant, sample_rows
 from tests.series import twin
 
 SIGMA_M, SIGMA_RAD = 3e-5, 8e-5
@@ -168,7 +168,7 @@ def test_a_single_wrong_orientation_is_left_out_by_configuration():
 def test_a_real_arm_in_six_dimensions():
     """Bars: what a plain reference fit of positions and orientations reaches, 0.369 mm and 0.94 mrad."""
     entrant = load_entrant("D6")
-    readings = draw_rows(entrant, 300, 0).split(entrant.readings)
+    readings = sample_rows(entrant, 300, 0).split(entrant.readings)
     arm, notes = calibrate_arm(entrant.profile, entrant.arm, readings)
     errors = arm.validate["geometry"]
     assert errors.position_mm.mean < 0.37

@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 
 from cellapp.cell.profile import load_profile
 from cellapp.commands.calibrate.result import arm_result
-from cellapp.commands.calibrate.run import draw_missing_splits
+from cellapp.commands.calibrate.run import sample_missing_splits
 from cellapp.estimation.calibration.calibrate import (
     ArmCalibration,
     calibrate_arm,
     calibrate_readings,
-    draw_splits,
     left_out_words,
+    sample_splits,
     split_sizes,
     train_arm,
 )
@@ -65,11 +65,11 @@ def test_split_sizes_fit_and_neither_identify_nor_validate_is_empty(n, identify,
 def test_the_draw_depends_on_the_numbers_and_the_seed_alone(numbers, seed):
     ordered = np.array(sorted(numbers))
     shuffled = np.random.default_rng(1).permutation(np.concatenate([ordered, ordered]))  # both arms, any order
-    assert draw_splits(ordered, 2, 1, 1, seed) == draw_splits(shuffled, 2, 1, 1, seed)
+    assert sample_splits(ordered, 2, 1, 1, seed) == sample_splits(shuffled, 2, 1, 1, seed)
 
 
 def test_another_seed_gives_another_draw():
-    assert draw_splits(np.arange(400), 100, 200, 100, 0)[0] != draw_splits(np.arange(400), 100, 200, 100, 1)[0]
+    assert sample_splits(np.arange(400), 100, 200, 100, 0)[0] != sample_splits(np.arange(400), 100, 200, 100, 1)[0]
 
 
 def test_errors_on_a_worked_example():
@@ -119,7 +119,7 @@ def test_a_real_ur10_ends_at_or_below_0_455_mm(tmp_path, seed):
     if seed is not None:
         profile = profile.model_copy(update={"seed": seed})
     with import_csv(profile, READINGS, tmp_path / "run") as run:
-        draw_missing_splits(run)
+        sample_missing_splits(run)
         readings = run.readings("left")
     calibration, notes = calibrate_arm(profile, "left", readings)
     assert notes == []

@@ -37,7 +37,7 @@ from cellapp.robot.kinematics.transforms import (
     transform,
 )
 from cellapp.robot.model import ArmModel, CellModel
-from cellapp.robot.model.model import PosteriorDraws, ReadingsNoise, relocated
+from cellapp.robot.model.model import PosteriorSamples, ReadingsNoise, relocated
 from tests.arms import OFF_AXIS, SEVEN, UR5_CENTERS, UR5_MASSES, UR10, at_station, true_geometry
 
 SIGMA_M = 20e-6
@@ -65,7 +65,7 @@ def identified(nominal, truth, rng, seed):
         nominal, q, smr_positions(truth, q) + rng.normal(0.0, SIGMA_M, (60, 3)), sigma=np.full(60, SIGMA_M)
     )
     covariance = found.estimated_covariance
-    draws = PosteriorDraws.of_covariance(found.estimated.columns, [], covariance, ReadingsNoise(SIGMA_M), (seed,))
+    draws = PosteriorSamples.of_covariance(found.estimated.columns, [], covariance, ReadingsNoise(SIGMA_M), (seed,))
     return arm_model(found.geometry, nominal, draws)
 
 
@@ -82,7 +82,7 @@ def certain_cell(seed=0, effects=()):
     return CellModel({name: arm_model(truth[name], nominals[name], effects=effects) for name in truth})
 
 
-def drawn_points(model, counts, T, rng, noise=True):
+def sampled_points(model, counts, T, rng, noise=True):
     points = {}
     for name, count in counts.items():
         q = rng.uniform(-2.0, 2.0, (count, model.arms[name].geometry.joints))
@@ -104,7 +104,7 @@ def test_exact_points_give_the_true_station(seed, counts):
     rng = np.random.default_rng(seed)
     model = certain_cell()
     T = transform(rotation_from_vector(rng.uniform(-1.5, 1.5, 3)), rng.uniform(-3.0, 3.0, 3))
-    points = drawn_points(model, counts, T, rng, noise=False)
+    points = sampled_points(model, counts, T, rng, noise=False)
     try:
         fit = fit_station(model, points, near(T, rng), excess_m=EXCESS)
     except InputError:  # drawn on one line
@@ -171,7 +171,7 @@ def bent(model, rng):
 )
 def test_no_motion_of_the_tracker_explains_what_moved_besides(changed):
     rng, model = np.random.default_rng(10), certain_cell()
-    points = drawn_points(changed(model, rng), {"left": 4, "right": 4}, MOVED, rng)
+    points = sampled_points(changed(model, rng), {"left": 4, "right": 4}, MOVED, rng)
     assert not fit_station(model, points, MOVED, excess_m=EXCESS).explains
 
 
@@ -187,7 +187,7 @@ def on_a_line(model, count):
     ("points", "says"),
     [
         (lambda model: on_a_line(model, 4), "lie on one line"),
-        (lambda model: drawn_points(model, {"left": 2}, MOVED, np.random.default_rng(0)), "2 points do not fix"),
+        (lambda model: sampled_points(model, {"left": 2}, MOVED, np.random.default_rng(0)), "2 points do not fix"),
         (lambda model: {"left": measured(model.arms["left"].geometry, np.zeros((4, 6)), MOVED)}, "of one place"),
         (lambda model: {}, "0 points do not fix"),
     ],
@@ -201,7 +201,7 @@ def test_points_that_fix_no_station_are_refused(points, says):
 
 def test_a_station_that_did_not_converge_is_an_error(monkeypatch):
     model, rng = certain_cell(), np.random.default_rng(0)
-    points = drawn_points(model, {"left": 4, "right": 4}, MOVED, rng)
+    points = sampled_points(model, {"left": 4, "right": 4}, MOVED, rng)
     monkeypatch.setattr(LeastSquares, "best", partialmethod(LeastSquares.best, max_iterations=1))
     far = near(MOVED, rng, 0.3, 1.0)
     with pytest.raises(NotConverged, match="the fit of the tracker's station did not converge: 1 steps"):

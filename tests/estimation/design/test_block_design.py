@@ -151,7 +151,7 @@ print(least_informative_last(candidates, chosen, criterion).tolist())
 PLAN = """
 import hashlib
 import numpy as np
-from cellapp.cell.planning.designed import design_stops
+from cellapp.cell.planning.designed_plan import design_stops
 from tests.twin import small_twin
 planned = design_stops(small_twin(12), 12).stops
 print({name: hashlib.sha256(np.round(q, 9).tobytes()).hexdigest() for name, q in planned.q.items()})

@@ -30,7 +30,7 @@ from cellapp.estimation.discovery.outcome import HeldOut
 from cellapp.estimation.discovery.records import with_effects
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import NotConverged
-from cellapp.ground.progress import Cancelled, CancelToken, JobSteps
+from cellapp.ground.progress import Cancelled, JobSteps, JobToken
 from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
 from cellapp.robot.kinematics.chain import flange_poses, smr_positions
 from cellapp.robot.kinematics.transforms import rotation_vectors
@@ -40,7 +40,7 @@ from drivers.plant import suggest
 from tests.arms import true_geometry
 from tests.cell.run.small_runs import import_csv
 from tests.estimation.discovery.problems import calibrated_and_searched
-from tests.evidence.shared.series import draw_rows, load_entrant
+from tests.evidence.shared.series import load_entrant, sample_rows
 from tests.series import twin
 
 ROOT = Path(__file__).parents[3]
@@ -303,7 +303,7 @@ def test_a_real_arm_hides_a_periodic_error_of_its_joints(tmp_path):
 
 
 def test_a_search_ends_on_request_before_the_rivals_of_the_next_effect(plan):
-    cancel, said = CancelToken(), []
+    cancel, said = JobToken(), []
 
     def report(done, words):
         said.append(words)
@@ -425,7 +425,7 @@ SEARCHED, ROWS = 200, 320
 def drawn_beyond():
     """A draw of a real UR10: its readings with splits."""
     series = load_entrant("D")
-    readings = draw_rows(series, ROWS, 3).split(series.readings)
+    readings = sample_rows(series, ROWS, 3).split(series.readings)
     arm, _ = calibrate_arm(series.profile, series.arm, readings)
     return ArmReadings.alone(series.profile, series.arm, arm.model, readings)
 

@@ -41,15 +41,15 @@ STRUCTURE = remaining_structure({"joints": 0.4, "time": 1e-6}, CHANCE)
 UNTESTED = remaining_structure({}, CHANCE)
 
 
-def rival(*, distinguishable: bool) -> RunnerUp:
+def alternative(*, distinguishable: bool) -> RunnerUp:
     return RunnerUp(effect="friction_windup", statistic=45.0, distinguishable=distinguishable)
 
 
-def accepted(*rivals: RunnerUp) -> AcceptedEffect:
+def accepted(*alternatives: RunnerUp) -> AcceptedEffect:
     law = EFFECTS["backlash"].law("constant")
     term = EffectTerm("backlash", ("half_play1",), np.ones(1), np.ones(1), ("rad",), law)
     evidence = Evidence(statistic=50.0, corrected_p=0.001, heldout_mm=BeforeAfter(before=0.2, after=0.1))
-    return accepted_effect(term, Place(joints=(1,), acts_on=("joint 1",)), evidence, 0.9, runners_up=rivals)
+    return accepted_effect(term, Place(joints=(1,), acts_on=("joint 1",)), evidence, 0.9, runners_up=alternatives)
 
 
 def errors(after_mm: float) -> BeforeAfter:
@@ -74,8 +74,8 @@ def errors(after_mm: float) -> BeforeAfter:
         ([accepted()], 0.16, NOISE, NONE, "unknown effect"),
         ([accepted()], 1.0, None, NONE, "unknown effect"),
         ([accepted()], 0.1, NOISE, STRUCTURE, "explained"),
-        ([accepted(rival(distinguishable=True))], 0.1, NOISE, NONE, "explained"),
-        ([accepted(rival(distinguishable=False))], 0.1, NOISE, NONE, "ambiguous"),
+        ([accepted(alternative(distinguishable=True))], 0.1, NOISE, NONE, "explained"),
+        ([accepted(alternative(distinguishable=False))], 0.1, NOISE, NONE, "ambiguous"),
         ([accepted()], 0.3, FAR_ABOVE, STRUCTURE, "unknown effect"),
         ([accepted()], 0.3, FAR_ABOVE, NONE, "unknown effect"),
         ([accepted()], 0.3, None, NONE, "explained"),

@@ -41,9 +41,9 @@ STOPS = 90
 PROPOSED = 20
 PLAY = {"backlash": {"play": [8e-5, 8e-5, 5e-5, 0.0, 0.0, 0.0]}}
 DWELL_S = 1.2
-EFFORT = Effort(drawn=70, kept=50, candidates=3000)
+EFFORT = Effort(sampled=70, kept=50, candidates=3000)
 """Fewer candidates than by default: enough for these claims."""
-LITTLE = Effort(drawn=20, kept=50, candidates=480)
+LITTLE = Effort(sampled=20, kept=50, candidates=480)
 
 
 def a_profile(effects: Mapping[str, Any]) -> Profile:

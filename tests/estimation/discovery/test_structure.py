@@ -40,7 +40,7 @@ from cellapp.estimation.discovery.process import (
     most_evident,
 )
 from cellapp.estimation.discovery.search.scan import LawScan
-from cellapp.estimation.discovery.verdict import CHANCE, has_structure, pearson3_tail, structure_left
+from cellapp.estimation.discovery.verdict import CHANCE, has_structure, pearson3_tail, residual_structure
 from cellapp.robot.effects import ActsOn, EffectColumn, LawForm
 from cellapp.robot.effects.context import Wave
 from cellapp.robot.kinematics.chain import smr_positions
@@ -84,7 +84,7 @@ def only(joint, values):
     ids=["own angle", "another angle", "two angles", "approach", "time"],
 )
 def test_structure_is_found_where_it_is(bend, against):
-    found = structure_left(*fitted(300, bend))
+    found = residual_structure(*fitted(300, bend))
     p_values = {test.against: test.p_value for test in found.tests}
     assert has_structure(found)
     assert min(p_values, key=lambda kind: p_values[kind]) == against
@@ -92,7 +92,7 @@ def test_structure_is_found_where_it_is(bend, against):
 
 
 def test_structure_in_the_order_of_stops_is_found_without_times():
-    found = structure_left(
+    found = residual_structure(
         *fitted(300, lambda q, approach, t: only(1, 15e-6 * np.sin(t / 500.0)), times=False, stated=False)
     )
     p_values = {test.against: test.p_value for test in found.tests}
@@ -114,7 +114,7 @@ def growing(rng, q):
 def test_noise_has_no_structure(noise):
     smallest = []
     for seed in range(12):
-        found = structure_left(*fitted(100, noise=noise, seed=seed))
+        found = residual_structure(*fitted(100, noise=noise, seed=seed))
         smallest.append(min(test.p_value for test in found.tests) * len(found.tests))
         assert {test.against for test in found.tests} == {"joints", "time", "approach", "position", "tracker"}
     # of twelve, one below 0.01 has a chance of 0.11, and one below 0.001 of 0.012
@@ -130,8 +130,8 @@ def test_the_tail_is_that_of_pearson_type_iii():
 def test_a_few_readings_are_not_tested():
     data, fit = fitted(60)
     few = replace(data, readings=data.readings.take(np.arange(10)))
-    assert structure_left(few, fit).tests == ()
-    assert not has_structure(structure_left(few, fit))
+    assert residual_structure(few, fit).tests == ()
+    assert not has_structure(residual_structure(few, fit))
 
 
 # -- The gain of a term on left-out readings is that of fits to the other readings -------------------------------------
@@ -208,10 +208,10 @@ def test_an_effect_of_twice_the_promised_size_scores_and_of_a_fifth_does_not(slu
 
 
 def test_heavy_tails_are_no_gross_errors_and_a_moved_target_is_one() -> None:
-    left_M = 2e-5 * np.random.default_rng(1).standard_t(4, (400, 3))
-    assert gross_errors(left_M).mean() <= 0.005
-    left_M[7] += 2e-3
-    assert gross_errors(left_M)[7]
+    residual_M = 2e-5 * np.random.default_rng(1).standard_t(4, (400, 3))
+    assert gross_errors(residual_M).mean() <= 0.005
+    residual_M[7] += 2e-3
+    assert gross_errors(residual_M)[7]
     assert not gross_errors(np.zeros((5, 3))).any()
 
 

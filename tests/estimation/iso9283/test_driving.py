@@ -318,7 +318,7 @@ def test_a_fault_in_mid_cycle_stops_all_arms_and_keeps_what_was_measured(fault: 
     }
     findings = IsoFindings()
     with pytest.raises(HardwareError, match="without a measurement" if fault == "covered" else fault):
-        drive_tests(task, findings, at(4, acts[fault]))
+        drive_tests(task, findings, JobControl(at(4, acts[fault])))
     assert 2 <= len(findings.measured.visits) <= 5
     assert not any(plant_of(cells[0]).moving(name) for name in task.profile.arms)
     assert any("of 2 cycles" in words for words in missing_words(findings, task.tests))
@@ -360,10 +360,11 @@ def test_an_event_in_mid_path_stops_all_arms(event: str, cells: list[Cell], monk
 
 @pytest.mark.parametrize("verb", ["stop", "abort"])
 def test_a_person_stops_the_test(verb: str, cells: list[Cell]) -> None:
-    control, findings = JobControl(), IsoFindings()
+    findings = IsoFindings()
+    control = JobControl(at(3, lambda: control.ask(verb)))  # type: ignore[arg-type]
     task = task_of(cell_of(one_arm()), "pose")
     with pytest.raises(Exception, match=r"stopped|aborted"):
-        drive_tests(task, findings, at(3, lambda: control.ask(verb)), control)  # type: ignore[arg-type]
+        drive_tests(task, findings, control)
     assert 1 <= len(findings.measured.visits) <= 3
     assert not plant_of(cells[0]).moving("left")
 

@@ -17,7 +17,7 @@ from cellapp.estimation.motion.effects import effects_in_motion
 from cellapp.estimation.motion.fit import solve
 from cellapp.estimation.motion.identify import RecordedArm, identify_from_motion, motion_problem
 from cellapp.estimation.motion.laws import JointTerm, Law, joint_path, of_all_joints, state_in_motion
-from cellapp.estimation.motion.steps import State, Step, effects_of
+from cellapp.estimation.motion.search_state import State, Step, effects_of
 from cellapp.estimation.motion.streams import JointStream
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import DiscoverySettings

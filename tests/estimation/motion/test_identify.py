@@ -9,7 +9,7 @@ import pytest
 
 from cellapp.estimation.motion.fit import solve
 from cellapp.estimation.motion.identify import RecordedArm, identify_from_motion, motion_problem
-from cellapp.estimation.motion.observe import Stops, residuals
+from cellapp.estimation.motion.residuals import Stops, residuals
 from cellapp.estimation.motion.streams import JointStream, PointStream, Recording
 from cellapp.ground.errors import InputError, NotConverged
 from cellapp.ground.progress import ignore_words

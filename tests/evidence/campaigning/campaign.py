@@ -23,10 +23,10 @@ from cellapp.ground.control import Aborted, Stopped
 from cellapp.ground.errors import CellappError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import AirLimits, Collection, Reference, Suspend, Suspension
-from cellapp.ground.progress import CancelToken
+from cellapp.ground.progress import UNATTENDED, JobToken
 from drivers.sensors.simulated_settings import SimulatedAirSensorSettings
 from tests.evidence.campaigning.doubles import ProgramKilled
-from tests.evidence.campaigning.faults import Fault, draw_faults
+from tests.evidence.campaigning.faults import Fault, sample_faults
 from tests.evidence.campaigning.monitor import Failure
 from tests.evidence.campaigning.oracle import ArmEstimate, judge
 from tests.evidence.campaigning.world import Endless, SimulatedControl, World
@@ -137,13 +137,13 @@ class Bench:
     gate: RememberingGate = field(default_factory=RememberingGate)
 
 
-def make_bench(profile: Profile, stops: int, cancel: CancelToken | None = None) -> Bench:
+def make_bench(profile: Profile, stops: int, job: JobToken = UNATTENDED) -> Bench:
     """Plan the stops of ``profile`` and run the campaign without faults.
 
     Raises ``InputError`` if the profile has no simulated cell, or ``CellappError`` if already that campaign fails.
     """
     bare = campaign_profile(profile, stops)
-    bench = Bench(bare, plan_stops(bare, cancel=cancel))
+    bench = Bench(bare, plan_stops(bare, job=job))
     campaign, estimates = run_campaign(bench, 0)
     if campaign.failures:
         raise CellappError(f"trials campaigns: the campaign without faults failed: {campaign.failures[0]}")
@@ -190,7 +190,7 @@ def _run(bench: Bench, seed: int, folder: Path) -> tuple[Campaign, dict[str, Arm
     profile = bench.profile.model_copy(update={"collection": drawn_collection(rng)})
     faults: tuple[Fault, ...] = ()
     if bench.undisturbed is not None:
-        faults = draw_faults(rng, arms, stops, max(1, int(rng.poisson(stops / STOPS_TO_A_FAULT))))
+        faults = sample_faults(rng, arms, stops, max(1, int(rng.poisson(stops / STOPS_TO_A_FAULT))))
     RunFile.create(folder / "run", profile, lambda run: run.write_plan(bench.plan)).close()
     world = World(profile, seed, folder, bench.gate)
     world.expect(faults)
@@ -239,7 +239,8 @@ def _session(world: World, sessions: _Sessions, control: SimulatedControl) -> No
     """Run the program once."""
     run = world.begin(control)
     try:
-        summary = collect_run(run, world.person.hear, control, resume=bool(sessions.last), opened=world.opened)
+        with control.heard_by(lambda event, _: world.person.hear(event)):
+            summary = collect_run(run, control, resume=bool(sessions.last), opened=world.opened)
         sessions.count(summary.outcome)
     except ProgramKilled:
         sessions.count("killed")

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.arms.protocol import ArmError, ArmState, DoubtListener, HostStalled, LinkLost
+from drivers.arms.protocol import ArmError, ArmState, FaultListener, HostStalled, LinkLost
 from drivers.arms.simulated import SimulatedArm
 from drivers.plant import Plant
 from drivers.sensors.protocol import AirReading, SensorLinkLost
@@ -97,7 +97,7 @@ class CampaignArm(SimulatedArm):
             self._connected = False
             raise
 
-    def watch(self, listener: DoubtListener) -> None:
+    def watch(self, listener: FaultListener) -> None:
         """Report faults to ``listener``."""
         self._process.check()
         super().watch(listener)

@@ -46,7 +46,7 @@ class Fault:
     size: float
 
 
-def draw_faults(rng: np.random.Generator, arms: Sequence[str], stops: int, count: int) -> tuple[Fault, ...]:
+def sample_faults(rng: np.random.Generator, arms: Sequence[str], stops: int, count: int) -> tuple[Fault, ...]:
     """Return ``count`` faults over the time that ``stops`` stops take, in the order of their times."""
     at_s = 0.0
     kinds = tuple(KINDS)

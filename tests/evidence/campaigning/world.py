@@ -15,9 +15,9 @@ from cellapp.cell.driving.cell import Cell, build_plant, one_by_one, start_track
 from cellapp.cell.driving.requests import answer_to
 from cellapp.cell.driving.tracker_watch import Died, unwatched
 from cellapp.cell.safety.gate import Gate, refuse_motion
-from cellapp.ground.asking import Verb
 from cellapp.ground.control import JobControl, Request
 from cellapp.ground.errors import HardwareError
+from cellapp.ground.job_client import Verb
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Progress, StateChange
 from drivers.arms.protocol import ArmError
@@ -184,8 +184,8 @@ class HoldingClock(SimulatedClock):
             self.plant.advance(max(duration_s, self.plant.undisturbed_s))
             return
         end_s = self.now_s() + duration_s
-        while (left_s := end_s - self.now_s()) > 0.0:
-            self.plant.advance(min(left_s, self.plant.undisturbed_s))
+        while (remaining_s := end_s - self.now_s()) > 0.0:
+            self.plant.advance(min(remaining_s, self.plant.undisturbed_s))
             if self._request() in ("stop", "abort"):
                 return
 

@@ -21,7 +21,7 @@ Rows = int | str
 """Number of rows to learn from, or ``all``."""
 SERIES: Mapping[str, str] = {"C": "ur10-real", "D": "ur10-real-d", "UR5": "ur5-real", "D6": "ur10-6d"}
 """Series -> its folder of fixtures, and the stem of its profile; D6 is D with orientations."""
-_DRAW_SEED = 0x1EA6
+_SAMPLE_SEED = 0x1EA6
 """Mixed with the seed of a draw, so that it is independent of all other draws of the program."""
 _HELD_OUT_OF_ALL = 0.2
 """Share that is held out if all rows of a series are learned from and its authors held none out."""
@@ -70,13 +70,13 @@ def load_entrant(name: str) -> Entrant:
     return Entrant(name, profile, arm, rows)
 
 
-def draw_rows(entrant: Entrant, rows: Rows, seed: int) -> DrawnRows:
+def sample_rows(entrant: Entrant, rows: Rows, seed: int) -> DrawnRows:
     """Draw the rows to learn from; all others are held out, including those that the authors held out.
 
     Draws of one seed are nested: more rows include the fewer. Raises ``InputError`` if the series has too few rows.
     """
     pool, published = entrant.pool, entrant.readings.in_split("validate")
-    order = np.random.default_rng([seed, _DRAW_SEED]).permutation(pool)
+    order = np.random.default_rng([seed, _SAMPLE_SEED]).permutation(pool)
     held_out_of_all = 0 if len(published) else round(_HELD_OUT_OF_ALL * len(pool))
     count = len(pool) - held_out_of_all if isinstance(rows, str) else rows
     if count > len(pool) or (count == len(pool) and not len(published)):

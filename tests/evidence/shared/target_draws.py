@@ -25,7 +25,7 @@ _OTHER_LAWS = 0.5
 """Share of the drawn effects with a law of another shape than the library's."""
 
 
-def draw_hidden(profile: Profile, seed: int, duration_s: float) -> dict[str, dict[str, Any]]:
+def sample_hidden(profile: Profile, seed: int, duration_s: float) -> dict[str, dict[str, Any]]:
     """Draw the effects of every arm: the profile's own, and a case of the sealed trials' mixture.
 
     Onsets and time constants lie within the run's length ``duration_s`` [s].
@@ -43,7 +43,7 @@ def draw_hidden(profile: Profile, seed: int, duration_s: float) -> dict[str, dic
     return hidden
 
 
-def draw_targets(profile: Profile, model: CellModel, count: int, seed: int) -> list[Target]:
+def sample_targets(profile: Profile, model: CellModel, count: int, seed: int) -> list[Target]:
     """Draw ``count`` single targets of each arm in the tracker frame, reachable and visible to the tracker.
 
     Each is the SMR pose of the nominal arm at a random configuration; the other arms wait at home. The side from which
@@ -64,7 +64,7 @@ def draw_targets(profile: Profile, model: CellModel, count: int, seed: int) -> l
     return targets
 
 
-def draw_pairs(profile: Profile, model: CellModel, count: int, seed: int) -> list[Target]:
+def sample_pairs(profile: Profile, model: CellModel, count: int, seed: int) -> list[Target]:
     """Draw ``count`` cooperative targets of the first two arms: random configurations, collision-free and visible."""
     cell = cell_bodies(profile, model)
     first, second = list(profile.arms)[:2]

@@ -12,7 +12,7 @@ import numpy as np
 from cellapp.cell.driving.cell import build_plant
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
+from cellapp.ground.progress import UNATTENDED, JobToken
 from cellapp.ground.results import Result
 from drivers.emulators.tracker_bridge import FAULTS, TrackerBridgeEmulator
 from drivers.trackers.bridge import BridgeTracker
@@ -61,8 +61,7 @@ def bridge_trial(
     every: int = 20,
     seed: int = 0,
     serial: tuple[str, str] | None = None,
-    listener: Listener = ignore,
-    cancel: CancelToken | None = None,
+    job: JobToken = UNATTENDED,
 ) -> BridgeResult:
     """Measure nests through an emulated bridge over TCP, with a random fault in each group of ``every`` measurements.
 
@@ -78,7 +77,6 @@ def bridge_trial(
     """
     if measurements < every or every < 1:
         raise InputError("trials bridge: there must be at least one group of measurements, of at least one each")
-    cancel = cancel or CancelToken()
     nests = _nests(profile)
     fault_at = _drawn_faults(measurements, every, seed, ALL_FAULTS if serial is None else FAULTS)
     with ExitStack() as stack:
@@ -101,9 +99,9 @@ def bridge_trial(
             raise HardwareError(str(error)) from error
         log = _Log()
         for number in range(measurements):
-            cancel.check()
+            job.check()
             fault = fault_at.get(number, "")
-            listener(Progress("bridge", number, measurements, fault))
+            job.tell("bridge", number, measurements, fault)
             nest = list(nests)[number % len(nests)]
             began_s = time.monotonic()
             if fault == SECOND_CLIENT:
@@ -112,7 +110,7 @@ def bridge_trial(
                 emulator.fault(fault)
             _measure(tracker, nests[nest], fault, began_s, log)
         made = emulator.tracker.measured
-    listener(Progress("bridge", measurements, measurements, "done"))
+    job.tell("bridge", measurements, measurements, "done")
     return log.result(measurements, made)
 
 

@@ -14,7 +14,7 @@ from typing import TypeVar
 import numpy as np
 
 from cellapp.ground.errors import HardwareError
-from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
+from cellapp.ground.progress import UNATTENDED, JobToken
 from drivers.priority import in_real_time
 from tests.evidence.wire.person_faults import (
     LEAVES,
@@ -74,19 +74,14 @@ def busy(processes: int) -> Iterator[None]:
 
 
 def person_trial(
-    profile_path: Path,
-    presses: int = 50,
-    repeats: int = 10,
-    beside: int = 0,
-    listener: Listener = ignore,
-    cancel: CancelToken | None = None,
+    profile_path: Path, presses: int = 50, repeats: int = 10, beside: int = 0, job: JobToken = UNATTENDED
 ) -> PersonResult:
     """Press each key ``presses`` times over all places, and do everything else ``repeats`` times, while arms move.
 
     ``beside`` processes compute meanwhile. A part in which the arms do not move, rest or resume is not measured, and
     the result says so.
     """
-    trial = _Trial(profile_path, presses, repeats, beside > 0, listener, cancel or CancelToken())
+    trial = _Trial(profile_path, presses, repeats, beside > 0, job)
     rows: list[PersonRow] = []
     not_measured = []
     with busy(beside), in_real_time():  # else this process's own delays were in the figures
@@ -102,19 +97,17 @@ def person_trial(
 class _Trial:
     """The parts of the trial, each with an application of its own."""
 
-    def __init__(
-        self, profile_path: Path, presses: int, repeats: int, is_busy: bool, listener: Listener, cancel: CancelToken
-    ) -> None:
+    def __init__(self, profile_path: Path, presses: int, repeats: int, is_busy: bool, job: JobToken) -> None:
         self._profile_path, self._presses, self._repeats = profile_path, presses, repeats
-        self._listener, self._cancel = listener, cancel
+        self._job = job
         self._is_busy = is_busy
         self._worst_ms = WORST_BUSY_MS if is_busy else WORST_MS
 
     def _each(self, what: str, n: int, measure: Callable[[], T]) -> list[T]:
         found = []
         for number in range(n):
-            self._cancel.check()
-            self._listener(Progress(what, number, n))
+            self._job.check()
+            self._job.tell(what, number, n)
             found.append(measure())
         return found
 

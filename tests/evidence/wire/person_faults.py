@@ -159,8 +159,8 @@ class Left:
 def left(bench: PressBench, leave: Leave) -> Left:
     """Leave while all arms move. Ends the application."""
     bench.go_while_moving(_CALM, leave.recorded)
-    left_s = leave.act(bench.terminal)
-    stopped_ms = max(bench.stop_ms(name, left_s) for name in bench.cell.arms)
+    remaining_s = leave.act(bench.terminal)
+    stopped_ms = max(bench.stop_ms(name, remaining_s) for name in bench.cell.arms)
     bench.terminal.process.wait(_WITHIN_S)
     with RunFile.open(bench.folder / RUN) as run:
         requests = run.sessions()[-1].requests

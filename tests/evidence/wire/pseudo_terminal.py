@@ -115,8 +115,8 @@ class PseudoTerminal:
         end_s = time.monotonic() + wait_s
         with self._changed:
             while not holds(self.shown()):
-                left_s = end_s - time.monotonic()
-                if left_s <= 0.0 or not self._changed.wait(left_s):
+                remaining_s = end_s - time.monotonic()
+                if remaining_s <= 0.0 or not self._changed.wait(remaining_s):
                     raise TimeoutError(f"never came: {what}\n{self.shown()}")
         return time.monotonic()
 

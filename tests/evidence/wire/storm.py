@@ -21,7 +21,7 @@ from cellapp.cell.run.measured_again import missing_readings
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
+from cellapp.ground.progress import UNATTENDED, JobToken
 from cellapp.ground.results import Record, Result
 from tests.evidence.wire.storm_cell import emulated_cell, undisturbed_profile, wire_profile
 from tests.evidence.wire.storm_faults import KILL, drawn_events
@@ -98,8 +98,7 @@ def storm_trial(
     seed: int = 0,
     pace: float = PACE,
     keep: Path | None = None,
-    listener: Listener = ignore,
-    cancel: CancelToken | None = None,
+    job: JobToken = UNATTENDED,
 ) -> StormResult:
     """Collect ``stops`` stops over the wire while ``faults`` faults of all kinds and ``kills`` SIGKILLs happen.
 
@@ -115,23 +114,22 @@ def storm_trial(
     """
     if stops < 2:
         raise InputError("storm: at least 2 stops are needed")
-    cancel = cancel or CancelToken()
     profile = wire_profile(profile, stops)
     random = np.random.default_rng(seed)
     events = drawn_events(stops, faults, kills, tuple(profile.arms), random)
     with _folder(keep) as parent:
         folder = parent / "run"
-        with new_planned_run(profile, folder, listener, cancel) as run:
+        with new_planned_run(profile, folder, job) as run:
             plan = read_planned_stops(run)
-        listener(Progress("undisturbed run", 0, 1))
+        job.tell("undisturbed run", 0, 1)
         quiet = undisturbed(profile, plan, parent / "undisturbed")
-        listener(Progress("undisturbed run", 1, 1))
+        job.tell("undisturbed run", 1, 1)
         began_s = time.monotonic()
         with (parent / "output.txt").open("wb") as output, emulated_cell(profile, pace) as cell:
-            log = Operator(cell, folder, events, stops, output, listener, cancel).work()
+            log = Operator(cell, folder, events, stops, output, job).work()
             clearance_m = cell.clearance_m()
         took_s = time.monotonic() - began_s
-        listener(Progress("storm", stops, stops, "done"))
+        job.tell("storm", stops, stops, "done")
         with RunFile.open(folder) as run, RunFile.open(quiet) as reference:
             return _judged(run, reference, log, len(events), clearance_m, took_s)
 

@@ -20,7 +20,7 @@ from cellapp.commands.emulate import EmulatedTracker, EmulateResult, emulate
 from cellapp.ground.errors import CellappError, HardwareError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Collection, SlowStart, Suspend, Suspension
-from cellapp.ground.progress import CancelToken
+from cellapp.ground.progress import JobToken
 from drivers.arms.simulated_settings import SimulatedArmSettings
 from drivers.arms.ur_settings import UrSettings
 from drivers.emulators.ur_controller import Control
@@ -171,7 +171,7 @@ def _serve(profile_text: str, pace: float, watch_clearance: bool, pipe: Connecti
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # it ends when the parent closes the pipe
     logging.disable(logging.WARNING)  # clients that hang up are what this trial is about
     profile = profile_from_json(profile_text)
-    cancel = CancelToken()
+    cancel = JobToken()
 
     def until_told() -> None:
         try:

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from cellapp.ground.asking import Verb, ask_running_job
 from cellapp.ground.errors import CellappError
+from cellapp.ground.job_client import Verb, ask_running_job
 from tests.evidence.wire.storm_cell import StormCell
 
 KILL = "program killed"

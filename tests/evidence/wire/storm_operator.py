@@ -18,7 +18,7 @@ from typing import IO, Any
 import cellapp
 from cellapp.cell.run import RunFile
 from cellapp.ground.errors import HardwareError, InputError
-from cellapp.ground.progress import CancelToken, Listener, Progress
+from cellapp.ground.progress import JobToken
 from tests.evidence.wire.storm_cell import StormCell
 from tests.evidence.wire.storm_faults import FAULTS, LONGEST_DELAY_S, Event, Target
 
@@ -80,17 +80,10 @@ class Operator:
     """One person at the cell; ``output`` receives what the programs print."""
 
     def __init__(
-        self,
-        cell: StormCell,
-        folder: Path,
-        events: Sequence[Event],
-        stops: int,
-        output: IO[bytes],
-        listener: Listener,
-        cancel: CancelToken,
+        self, cell: StormCell, folder: Path, events: Sequence[Event], stops: int, output: IO[bytes], job: JobToken
     ) -> None:
         self._cell, self._folder, self._events, self._stops = cell, folder, list(events), stops
-        self._output, self._listener, self._cancel = output, listener, cancel
+        self._output, self._job = output, job
         self._total = len(events)
         self.log = StormLog()
 
@@ -105,7 +98,7 @@ class Operator:
         """
         failures = 0
         while True:
-            self._cancel.check()
+            self._job.check()
             struck = sum(self.log.struck.values())
             code = self._session()
             self.log.exit_codes[code] += 1
@@ -148,7 +141,7 @@ class Operator:
         working = False
         read_s = 0.0
         while program.poll() is None:
-            self._cancel.check()
+            self._job.check()
             now_s = time.monotonic()
             if now_s - read_s > _READ_EVERY_S:
                 read_s = now_s
@@ -199,7 +192,7 @@ class Operator:
             self.log.seen |= found
             done, struck = self._finished(), sum(self.log.struck.values())
             note = f"session {self.log.sessions}, {struck} of {self._total} faults"
-            self._listener(Progress("storm", min(done, self._stops - 1), self._stops, note))
+            self._job.tell("storm", min(done, self._stops - 1), self._stops, note)
             return more
         return False
 

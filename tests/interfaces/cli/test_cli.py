@@ -585,7 +585,7 @@ def test_interrupted_before_the_command_begins_it_exits_with_four(
     def interrupt(profile: object) -> None:
         signal.raise_signal(number)
 
-    monkeypatch.setattr("cellapp.interfaces.cli.derived.CommandJob", interrupt)
+    monkeypatch.setattr("cellapp.interfaces.cli.verb_commands.CommandJob", interrupt)
     before = signal.getsignal(number)
     one_sentence(call("plan", "twin.yaml", "--run", "new"), "stopped on request", code=4)
     assert signal.getsignal(number) is before

@@ -18,9 +18,9 @@ from cellapp.cell.driving.requests import taking_requests
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run.run_arms import note_halt
 from cellapp.ground import progress
-from cellapp.ground.asking import VERBS, Verb
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError
+from cellapp.ground.job_client import VERBS, Verb
 from cellapp.ground.progress import Halt, Progress
 from cellapp.interfaces.cli.job import CommandJob
 from cellapp.interfaces.cli.requests import JobRequest, plain_request

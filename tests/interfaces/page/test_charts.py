@@ -26,7 +26,7 @@ from cellapp.ground.counting import mm
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import AnyObstacle
 from cellapp.ground.progress import StopReport
-from cellapp.interfaces.page.drawn import chart_svg
+from cellapp.interfaces.page.figures import chart_svg
 from cellapp.interfaces.render.chart import scale_of
 from tests.interfaces.page.cases import picture
 from tests.twin import whole_twin

@@ -63,7 +63,7 @@ from cellapp.estimation.uncertainty.records import UncertaintyParts
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import DiscoverySettings
 from cellapp.ground.results import CHECK, Estimate
-from cellapp.interfaces.page.drawn import drawn_sections
+from cellapp.interfaces.page.figures import drawn_sections
 from cellapp.interfaces.page.page import template
 from cellapp.robot.effects import EFFECTS
 from tests.approved import assert_approved, text_of, without_digits

@@ -111,18 +111,18 @@ def test_the_arm_moves_keeps_its_limits_and_stays_when_braked(arm: Arm, controll
 
 
 def test_a_link_that_is_cut_is_pushed_once_and_then_said_by_every_call(arm: Arm, controller: LineController) -> None:
-    doubts: queue.Queue[ArmError] = queue.Queue()
-    arm.watch(doubts.put)
+    faults: queue.Queue[ArmError] = queue.Queue()
+    arm.watch(faults.put)
     controller.close()
-    doubt = doubts.get(timeout=5.0)
-    assert isinstance(doubt, LinkLost)
-    assert "look at the arm, it may still move" in str(doubt)
+    told = faults.get(timeout=5.0)
+    assert isinstance(told, LinkLost)
+    assert "look at the arm, it may still move" in str(told)
     for call in (arm.state, lambda: arm.wait_settled(5.0), lambda: arm.start_move(HOME, SPEED, ACCELERATION)):
         with pytest.raises(LinkLost):
             call()
     with pytest.raises(LinkLost, match="check power, cable and address"):
         arm.connect()
-    assert doubts.empty()
+    assert faults.empty()
 
 
 def test_a_controller_of_another_arm_is_not_taken(settings: ArmSettings) -> None:

@@ -14,7 +14,7 @@ import pytest
 
 import cellapp
 from cellapp.cell.driving.cell import build_plant
-from cellapp.cell.planning.plan import draw_stops
+from cellapp.cell.planning.plan import sample_stops
 from cellapp.cell.profile.loader import load_text
 from cellapp.cell.run import RunFile, write_readings_csv
 from cellapp.cell.safety.cell_bodies import cell_bodies
@@ -101,7 +101,7 @@ def test_residuals_and_tables_are_those_of_the_run(found: cellapp.Discovery, run
 def test_what_is_found_predicts_the_true_cell_within_its_uncertainty(found: cellapp.Discovery) -> None:
     profile = finished_twin()
     plant = build_plant(profile)
-    q = draw_stops(cell_bodies(profile), profile, 150, np.random.default_rng(7))
+    q = sample_stops(cell_bodies(profile), profile, 150, np.random.default_rng(7))
     for arm in q:
         sign = np.sign(np.random.default_rng(8).normal(size=q[arm].shape))
         others = {name: stops for name, stops in q.items() if name != arm}

@@ -21,7 +21,7 @@ class WrittenJob(MovingJob):
 
     def _brake(self, verb: str) -> None:
         with self.file.open("a", encoding="utf-8") as file:
-            file.write(f"{verb} {self.control.left}".rstrip() + "\n")
+            file.write(f"{verb} {self.control.departure}".rstrip() + "\n")
 
 
 class HeldApp(CellApp):

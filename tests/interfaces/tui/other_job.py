@@ -13,7 +13,7 @@ from pathlib import Path
 
 from cellapp.cell.driving.requests import taking_requests
 from cellapp.ground.control import JobControl
-from cellapp.ground.progress import Cancelled, MotionBegun, Progress, StateChange
+from cellapp.ground.progress import Cancelled, MotionBegun, StateChange
 
 Q = {"left": (0.1, 0.2), "right": (0.0, 0.0, 0.0)}
 
@@ -35,10 +35,10 @@ def main() -> int:
     threading.Thread(target=wait_for_end, daemon=True).start()
     try:
         with (
-            taking_requests(folder, control, "collect") as listener,
+            taking_requests(folder, control, "collect"),
             control.brakes(lambda verb: say(f"brake {verb} {time.monotonic()}")),
         ):
-            listener(Progress("collect", 2, 30, detail=MotionBegun(2, Q, Q, 4.0)))
+            control.tell("collect", 2, 30, detail=MotionBegun(2, Q, Q, 4.0))
             say("ready")
             told = "none"
             while not over.wait(0.005):
@@ -46,7 +46,7 @@ def main() -> int:
                 if control.request != told:
                     told = control.request
                     state = StateChange({"none": "running", "pause": "paused"}.get(told, "stopped"), "a person asked")  # type: ignore[arg-type]  # one of its words
-                    listener(Progress("collect", 2, 30, detail=state))
+                    control.tell("collect", 2, 30, detail=state)
     except Cancelled:
         return 4
     return 0

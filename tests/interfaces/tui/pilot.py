@@ -17,7 +17,7 @@ from textual.pilot import Pilot
 
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError
-from cellapp.ground.progress import Listener, Progress, ReferenceReport, StateChange, StopReport, Suspicion
+from cellapp.ground.progress import Progress, ReferenceReport, StateChange, StopReport, Suspicion
 from cellapp.ground.results import Result
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.jobs import Ask, Job
@@ -147,10 +147,10 @@ class HeldJob:
         self.go_on.clear()
         return Job(name, self._work, folder, moves=True)
 
-    def _work(self, listener: Listener, control: JobControl, ask: Ask) -> Result | None:
+    def _work(self, control: JobControl, ask: Ask) -> Result | None:
         self.thread, self.control = threading.current_thread(), control
         for event in self.events:
-            listener(event)
+            control.tell(event.job, event.done, event.total, event.note, event.detail)
         self.reached.set()
         assert self.go_on.wait(self.patience_s)
         control.check()
@@ -183,7 +183,7 @@ class MovingJob:
         """As a job of the application."""
         return Job("collect", self._work, folder, moves=True)
 
-    def _work(self, listener: Listener, control: JobControl, ask: Ask) -> Result | None:
+    def _work(self, control: JobControl, ask: Ask) -> Result | None:
         self.control = control
         with control.brakes(self._brake):
             self.began.set()
@@ -192,24 +192,24 @@ class MovingJob:
                 if not self.allowed:
                     raise InputError("the first motion was not confirmed; nothing was moved")
             for detail in DETAILS:
-                listener(Progress("collect", 5, 30, eta_s=240.0, detail=detail))
+                control.tell("collect", 5, 30, detail=detail)
             while True:
-                self._hold(listener)
+                self._hold()
                 for number in range(50 if self.flood else 1):
-                    listener(Progress("collect", 5, 30, f"event {number}", eta_s=240.0))
+                    control.tell("collect", 5, 30, f"event {number}")
                 control.wait_while("none", timeout_s=0.005 if self.flood else 0.1)
 
-    def _hold(self, listener: Listener) -> None:
+    def _hold(self) -> None:
         self.control.check()
         request = self.control.request
         if request in ("pause", "stop"):
             state = StateChange("paused" if request == "pause" else "stopped", "asked by a person")
-            listener(Progress("collect", 5, 30, detail=state))
+            self.control.tell("collect", 5, 30, detail=state)
             while self.control.request == request:
                 self.control.check()
                 self.control.wait_while(request, timeout_s=0.1)
             self.control.check()
-            listener(Progress("collect", 5, 30, detail=StateChange("running", "resumed by a person")))
+            self.control.tell("collect", 5, 30, detail=StateChange("running", "resumed by a person"))
 
     def _brake(self, verb: str) -> None:
         self.brakes.append((verb, self.clock()))

@@ -89,7 +89,7 @@ def state_and_record(name: str) -> tuple[RunState, JobRecord]:
             record.add(event)
         record.since = _NIGHT
         process = 1 if made.watched else None
-        running = Job("collect", lambda listener, control, ask: None, RUN, moves=True, process=process)
+        running = Job("collect", lambda control, ask: None, RUN, moves=True, process=process)
     if name == "read-only":
         workspace = replace(workspace, read_only=True)
     state = run_state(workspace, record, running)

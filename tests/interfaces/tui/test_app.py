@@ -18,11 +18,11 @@ from textual.widgets import Tree
 
 from cellapp.commands.docs.keys import KEYS, filled_keys
 from cellapp.commands.stages import NextVerb, next_command
-from cellapp.interfaces.tui import work
+from cellapp.interfaces.tui import verb_jobs
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.program import possible_commands
 from cellapp.interfaces.tui.dialogs.question import Choice
-from cellapp.interfaces.tui.endings import ERROR_LOG
+from cellapp.interfaces.tui.job_outcome import ERROR_LOG
 from cellapp.interfaces.tui.jobs import Job
 from cellapp.interfaces.tui.keys import WAYS
 from cellapp.interfaces.tui.screens import SCREENS
@@ -186,8 +186,8 @@ async def test_the_last_run_stands_on_the_first_screen_and_what_is_read_of_it_ta
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     collected_run(RUN, "stopped")
-    read, words_of_run = threading.Event(), work.words_of_run
-    monkeypatch.setattr(work, "words_of_run", lambda folder: words_of_run(folder) if read.wait(WAIT_S) else "")
+    read, words_of_run = threading.Event(), verb_jobs.words_of_run
+    monkeypatch.setattr(verb_jobs, "words_of_run", lambda folder: words_of_run(folder) if read.wait(WAIT_S) else "")
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
         await shows(pilot, "a goes on with the last run, logs/day")

@@ -19,8 +19,7 @@ from cellapp.cell.profile.starters import copy_starter
 from cellapp.commands.doctor.result import DoctorResult
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError
-from cellapp.ground.progress import ignore
-from cellapp.interfaces.tui import work
+from cellapp.interfaces.tui import verb_jobs
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.first_run import Welcome
 from cellapp.interfaces.tui.dialogs.program import MotionQuestion
@@ -113,7 +112,7 @@ async def test_a_day_speaks_of_the_chosen_profile_and_not_of_the_run_that_is_ope
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     held = HeldJob()
-    monkeypatch.setattr("cellapp.interfaces.tui.work.whole_day", lambda path, folder, agreed: held.job("run", folder))
+    monkeypatch.setattr("cellapp.interfaces.tui.verb_jobs.whole_day", lambda path, folder, _: held.job("run", folder))
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
         await opened(pilot, app)
@@ -133,9 +132,9 @@ def test_a_profile_that_was_edited_after_the_question_moves_nothing(tmp_path: Pa
     agreed = load_profile(path)
     path.write_text(path.read_text(encoding="utf-8").replace("seed: 1", "seed: 12", 1), encoding="utf-8")
     assert load_profile(path) != agreed
-    job = work.whole_day(path, tmp_path / "run", agreed)
+    job = verb_jobs.whole_day(path, tmp_path / "run", agreed)
     with pytest.raises(InputError, match="was edited since"):
-        job.work(ignore, JobControl(), lambda words: True)
+        job.work(JobControl(), lambda words: True)
     assert not (tmp_path / "run").exists()
 
 

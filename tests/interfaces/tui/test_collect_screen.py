@@ -34,7 +34,7 @@ from cellapp.ground.progress import (
     StopReport,
     Suspicion,
 )
-from cellapp.interfaces.tui import work
+from cellapp.interfaces.tui import verb_jobs
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.screens.collect import CollectScreen
@@ -109,7 +109,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[HeldJob, dict[str, Any]
         calls.append((HeldJob(()), {"folder": folder, **how}))
         return calls[-1][0].job(folder=folder)
 
-    monkeypatch.setattr(work, "job_of", job_of)
+    monkeypatch.setattr(verb_jobs, "job_of", job_of)
     return calls
 
 

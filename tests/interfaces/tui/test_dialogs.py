@@ -23,12 +23,12 @@ from cellapp.commands.run.request import VERB as WHOLE_DAY
 from cellapp.commands.run.result import WholeRunResult
 from cellapp.commands.run_results import read_results
 from cellapp.ground.results import ErrorSummary, Result
-from cellapp.interfaces.tui import work
+from cellapp.interfaces.tui import verb_jobs
 from cellapp.interfaces.tui.app import CellApp
+from cellapp.interfaces.tui.confirmations import WRITE
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
-from cellapp.interfaces.tui.endings import REPORT_FILE, ending_of
+from cellapp.interfaces.tui.job_outcome import REPORT_FILE, ending_of
 from cellapp.interfaces.tui.jobs import Job, JobEnded
-from cellapp.interfaces.tui.offers import WRITE
 from cellapp.interfaces.tui.screens.calibrate import ExportArms
 from tests.handbook.screen_pictures import settle
 from tests.interfaces.tui.pilot import PROFILES, SMALL, ended, opened, shown_text, until
@@ -163,7 +163,7 @@ def test_a_day_names_its_report_and_says_whether_the_verification_held(
     verify: VerifyResult | None, words: str, code: int
 ) -> None:
     text, exit_code = ending_words(
-        work.job_of(WHOLE_DAY, profile=RUN, folder=RUN), WholeRunResult(run=str(RUN), verify=verify)
+        verb_jobs.job_of(WHOLE_DAY, profile=RUN, folder=RUN), WholeRunResult(run=str(RUN), verify=verify)
     )
     assert words in text
     assert str(RUN / "report.html") in text

@@ -16,7 +16,7 @@ import pytest
 from textual.pilot import Pilot
 from textual.widgets import Static
 
-from cellapp.ground.asking import JOB_FILE, ask_running_job
+from cellapp.ground.job_client import JOB_FILE, ask_running_job
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.widgets.header import DayHeader

@@ -73,9 +73,9 @@ async def test_a_model_that_is_out_of_date_is_used_only_if_that_is_said(
 
     def job(verb: Verb, request: PushRequest) -> Job:
         started.append(request)
-        return Job(verb.name, lambda listener, control, ask: None)
+        return Job(verb.name, lambda control, ask: None)
 
-    monkeypatch.setattr("cellapp.interfaces.tui.work.verb_job", job)
+    monkeypatch.setattr("cellapp.interfaces.tui.verb_jobs.verb_job", job)
     monkeypatch.setattr(Workspace, "stale", "'discover' is out of date (new readings)")
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:

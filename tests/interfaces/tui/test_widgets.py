@@ -23,16 +23,7 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.run.run_arms import note_halt, unseen_arms
 from cellapp.commands.view.charts import Axis, Chart, Limit, series
 from cellapp.ground.control import JobControl
-from cellapp.ground.progress import (
-    ArmLive,
-    CellLive,
-    Halt,
-    HaltState,
-    Listener,
-    MeasurementBegun,
-    Progress,
-    StateChange,
-)
+from cellapp.ground.progress import ArmLive, CellLive, Halt, HaltState, MeasurementBegun, Progress, StateChange
 from cellapp.interfaces.tui import app
 from cellapp.interfaces.tui.app import CellApp, SlowCollections
 from cellapp.interfaces.tui.job_record import LEVELS, JobRecord, LogRow, Pace, banner_of, strip_of
@@ -100,9 +91,9 @@ class HungJob:
         self.over = threading.Event()
 
     def job(self) -> Job:
-        def work(listener: Listener, control: JobControl, ask: Ask) -> None:
+        def work(control: JobControl, ask: Ask) -> None:
             with control.watching(lambda: self.live), control.brakes(lambda verb: None):
-                listener(Progress("collect", 3, 30, detail=MeasurementBegun(3, "left")))
+                control.tell("collect", 3, 30, detail=MeasurementBegun(3, "left"))
                 assert self.over.wait(WAIT_S)
 
         return Job("collect", work, moves=True)
@@ -185,9 +176,9 @@ def arm_live(age_s: float | None = 0.05, *, moving: bool = False, halt: HaltStat
 
 
 def cell_live(
-    left: ArmLive, right: ArmLive, tracker_age_s: float | None = 0.1, causes: tuple[str, ...] = ()
+    remaining: ArmLive, right: ArmLive, tracker_age_s: float | None = 0.1, causes: tuple[str, ...] = ()
 ) -> CellLive:
-    return CellLive({"left": left, "right": right}, tracker_age_s, 0.2, causes)
+    return CellLive({"left": remaining, "right": right}, tracker_age_s, 0.2, causes)
 
 
 def test_ages_are_amber_above_three_tenths_and_red_above_one_second() -> None:
@@ -220,9 +211,9 @@ def record(*events: Progress) -> JobRecord:
 
 def test_the_time_that_is_left_goes_down_between_two_reports() -> None:
     part = Part("collect", HALF, Pace(0.0, 15, 100.0))
-    assert part.left_s(100.0) == pytest.approx(600.0)
-    assert part.left_s(220.0) == pytest.approx(480.0)
-    assert replace(part, waits=True).left_s(220.0) is None, "who waits for a person has no time of ending"
+    assert part.remaining_s(100.0) == pytest.approx(600.0)
+    assert part.remaining_s(220.0) == pytest.approx(480.0)
+    assert replace(part, waits=True).remaining_s(220.0) is None, "who waits for a person has no time of ending"
     assert ending_words(-3.0, datetime(2026, 1, 2)) == "any moment"
     assert Pace(0.0, 15, 100.0).per_minute(215) == pytest.approx(120.0)
     assert Pace(0.0, 15, 100.0).per_minute(15) is None

@@ -14,7 +14,7 @@ from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
 from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.kinematics.statics import Bodies
 from cellapp.robot.model import ArmModel, CellModel, ResidualNetwork
-from cellapp.robot.model.model import PosteriorDraws, ReadingsNoise, posterior_from_json, posterior_to_json
+from cellapp.robot.model.model import PosteriorSamples, ReadingsNoise, posterior_from_json, posterior_to_json
 from tests.arms import OFF_AXIS, STATION, UR10, UR10_CENTERS, UR10_MASSES, at_station, true_geometry
 
 
@@ -157,7 +157,7 @@ def covariance(rng):
 
 
 def draws_of(Sigma, seed):
-    return PosteriorDraws.of_covariance(COLUMNS, [len(COMPLIANCE.names)], Sigma, ReadingsNoise(2e-5), (seed,))
+    return PosteriorSamples.of_covariance(COLUMNS, [len(COMPLIANCE.names)], Sigma, ReadingsNoise(2e-5), (seed,))
 
 
 def test_draws_survive_json():
@@ -166,7 +166,7 @@ def test_draws_survive_json():
     assert (back.columns, back.noise_m) == (drawn.columns, drawn.noise_m)
     np.testing.assert_allclose(back.geometry, drawn.geometry, rtol=1e-3)
     np.testing.assert_allclose(back.terms[0], drawn.terms[0], rtol=1e-3)
-    geometry_only = PosteriorDraws.of_covariance(COLUMNS, [], np.eye(len(COLUMNS)), ReadingsNoise(0.0), (0,))
+    geometry_only = PosteriorSamples.of_covariance(COLUMNS, [], np.eye(len(COLUMNS)), ReadingsNoise(0.0), (0,))
     assert posterior_from_json(posterior_to_json(geometry_only)).terms == ()
 
 
@@ -181,7 +181,7 @@ def test_intervals_hold_95_percent_of_new_simulated_readings():
         p_M = smr_positions(truth, q) + rng.normal(0.0, sigma_m, (460, 3))
         found = identify(nominal, q[:60], p_M[:60], sigma=np.full(60, sigma_m))
         columns, Sigma = found.estimated.columns, found.estimated_covariance
-        draws = PosteriorDraws.of_covariance(columns, [], Sigma, ReadingsNoise(sigma_m), (seed,))
+        draws = PosteriorSamples.of_covariance(columns, [], Sigma, ReadingsNoise(sigma_m), (seed,))
         model = replace(arm(), geometry=found.geometry, nominal=nominal, effects=(), posterior=draws)
         left = np.abs(p_M[60:] - model.predict(q[60:]))
         within.append(left <= 1.96 * model.measured_uncertainty(q[60:])[:, None])

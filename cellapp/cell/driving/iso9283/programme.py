@@ -137,13 +137,13 @@ def alignment_configurations(
     scale = np.sqrt(np.einsum("nak,nak->k", J, J) / len(J))
     J = J / np.where(scale > 0.0, scale, 1.0)
     information = _KNOWN_BEFORE * np.eye(J.shape[2])
-    left = np.ones(len(liked), dtype=bool)
+    remaining = np.ones(len(liked), dtype=bool)
     chosen: list[int] = []
     while len(chosen) < min(ALIGNMENT_POSITIONS, len(liked)):
         gain = np.linalg.slogdet(np.eye(3) + J @ np.linalg.solve(information, J.transpose(0, 2, 1)))[1]
-        best = int(np.argmax(np.where(left, gain, -np.inf)))
+        best = int(np.argmax(np.where(remaining, gain, -np.inf)))
         chosen.append(best)
-        left[best] = False
+        remaining[best] = False
         information = information + J[best].T @ J[best]
     return np.asarray(liked[chosen])
 

@@ -39,7 +39,7 @@ from cellapp.cell.driving.reaction import StopReaction
 from cellapp.cell.driving.supervision import Opened, attended_cell, hold_while_paused
 from cellapp.cell.driving.sweeping import INTERVAL_S, PathDriver
 from cellapp.cell.driving.target_visit import Driver
-from cellapp.cell.planning.planned_stops import time_notice, visits_s
+from cellapp.cell.planning.planned_stops import tell_time, visits_s
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies, remembered
 from cellapp.cell.targets.path import RUN_UP_RAD, PathPlan, PathPose, PathSpec, plan_path
@@ -72,7 +72,6 @@ from cellapp.ground.control import JobControl
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import HardwareError
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import Listener, Progress, ignore
 from cellapp.robot.kinematics.transforms import Array, rpy_of, xyz_of
 from cellapp.robot.model import CellModel
 from cellapp.robot.paths.cartesian import CartesianPath
@@ -421,7 +420,6 @@ class IsoTask:
 def drive_tests(
     task: IsoTask,
     findings: IsoFindings,
-    listener: Listener = ignore,
     control: JobControl | None = None,
     *,
     confirm: Confirm | None = None,
@@ -449,7 +447,7 @@ def drive_tests(
         opened(cell)
         cell.require_tracker()
         model = task.model or published_cell(profile, {})
-        session = _Session(task, findings, cell, reaction, control, listener, homes)
+        session = _Session(task, findings, cell, reaction, control, homes)
         session.use(cell_bodies(profile, model))
         session.mover.confirm_first(homes, confirm)
         began_s = cell.clock.now_s()
@@ -462,7 +460,7 @@ def drive_tests(
             session.mover.go_home()
         finally:
             findings.seconds = cell.clock.now_s() - began_s
-    listener(Progress("iso9283", session.total, session.total, "done"))
+    control.tell("iso9283", session.total, session.total, "done")
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
@@ -477,7 +475,6 @@ class _Session:
     cell: Cell
     reaction: StopReaction
     control: JobControl
-    listener: Listener
     homes: Mapping[str, Vector]
     total: int = 1
     _done: int = 0
@@ -502,7 +499,7 @@ class _Session:
             q = alignment_configurations(self.bodies, self.homes, name, geometry, profile.seed)
             reached, points = [], []
             for done, target in enumerate(q):
-                self.listener(Progress("find base", done, len(q), f"arm {name}"))
+                self.control.tell("find base", done, len(q), f"arm {name}")
                 self._hold()
                 try:
                     state = self._drive({name: target})[name]
@@ -520,7 +517,7 @@ class _Session:
         profile, found = self.task.profile, self.findings
         for number, name in enumerate(self.task.arms):
             self._hold()
-            self.listener(Progress("find cube", number, len(self.task.arms), f"arm {name}"))
+            self.control.tell("find cube", number, len(self.task.arms), f"arm {name}")
             search = CubeSearch(self.bodies, self.homes, name, model.arms[name], profile.seed)
             chosen = choose_cube(search)
             if isinstance(chosen, str):
@@ -566,7 +563,7 @@ class _Session:
         visits = self._visits()
         series = {share: self._poses_at(share) for share in self.task.also_speeds}
         self.total = max(len(visits) + sum(map(len, series.values())), 1)
-        self.listener(time_notice("iso9283", self.task.profile, self._seconds(visits, series), 0, self.total))
+        tell_time(self.control, "iso9283", self.task.profile, self._seconds(visits, series), 0, self.total)
         if "drift" in tests:
             for name in self.findings.cubes:
                 self._drift(name)
@@ -597,7 +594,7 @@ class _Session:
 
     def _visit_all(self, visits: Sequence[Visit]) -> None:
         for visit in visits:
-            self.listener(Progress("iso9283", self._done, self.total, "" if visit.place is None else str(visit.place)))
+            self.control.tell("iso9283", self._done, self.total, "" if visit.place is None else str(visit.place))
             self._visit(visit)
             self._done += 1
 
@@ -628,10 +625,10 @@ class _Session:
             series=series,
         )
         for done, name in enumerate(names):
-            self.listener(Progress("paths", done, len(names), f"arm {name}"))
+            self.control.tell("paths", done, len(names), f"arm {name}")
             self.mover.go_home()
             paths.drive(name, self.task.commands)
-        self.listener(Progress("paths", len(names), len(names), "done"))
+        self.control.tell("paths", len(names), len(names), "done")
 
     def _visits(self) -> list[Visit]:
         """Return the visits of all tests that are measured at rest, except drift."""
@@ -676,7 +673,7 @@ class _Session:
                 self._visit(visit, group)
             group += 1
             passed_s = self.cell.clock.now_s() - began_s
-            self.listener(Progress("drift", int(min(passed_s, limit_s) / 60.0), int(limit_s / 60.0), f"arm {name}"))
+            self.control.tell("drift", int(min(passed_s, limit_s) / 60.0), int(limit_s / 60.0), f"arm {name}")
             if passed_s >= limit_s and group > 1:
                 return
             until_s = min(began_s + group * float(np.clip(limit_s / _GROUPS, *_INTERVAL_S)), began_s + limit_s)

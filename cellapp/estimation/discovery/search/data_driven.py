@@ -26,7 +26,7 @@ from cellapp.estimation.discovery.posterior import (
     fitted_parameters,
     is_free_function,
 )
-from cellapp.estimation.discovery.search.free_part import explains_beside_free_parts
+from cellapp.estimation.discovery.search.discrepancy_term import explains_beside_discrepancies
 from cellapp.estimation.discovery.search.review import MOSTLY, share_of
 from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.search.state import (
@@ -160,14 +160,15 @@ def _with_term(problem: SearchProblem, state: SearchState, scores: Sequence[LawS
 
 
 def _holds(problem: SearchProblem, state: SearchState, score: LawScore) -> bool:
-    """Return whether a term explains a visible share of what is left, also on left-out readings and beside free parts.
+    """Return whether a term explains a visible share of what is left, also on left-out readings and beside discrepancy
+    terms.
 
     The residual of a slightly wrong law often looks like a law of other variables.
     """
     return (
         _share_beyond_noise(state, score) > _LEAST_SHARE
         and cross_validated_gain(state.data, state.fit, score.rows) > 0.0
-        and explains_beside_free_parts(problem, state, score)
+        and explains_beside_discrepancies(problem, state, score)
     )
 
 
@@ -176,8 +177,8 @@ def _share_beyond_noise(state: SearchState, score: LawScore) -> float:
 
     If no uncertainty is stated, the noise is unknown: the share is then that of all that is left.
     """
-    left = scatter(state.data, state.fit)
-    beyond_noise = 1.0 if left is None else 1.0 - min(left.ratio**-2, 1.0)
+    remaining = scatter(state.data, state.fit)
+    beyond_noise = 1.0 if remaining is None else 1.0 - min(remaining.ratio**-2, 1.0)
     beyond_chance = score.explained_share - len(score.chosen) / len(state.fit.residual)
     return beyond_chance / beyond_noise if beyond_noise > 0.0 else 0.0
 
@@ -256,14 +257,14 @@ def _with_needed_functions(score: LawScore, fit: JointFit) -> LawScore:
     residual, rows, price = fit.projected_residual, score.rows, math.log(fit.projector.freedom)
     gram, moments = rows @ fit.projector.project(rows).T, rows @ residual.projected
     kept = np.arange(len(rows))
-    left = residual.square * (1.0 - score.explained_share)
+    remaining = residual.square * (1.0 - score.explained_share)
     while len(kept) > 1:
         inverse = np.linalg.pinv(gram[np.ix_(kept, kept)], rcond=VISIBLE**2, hermitian=True)
         losses = (inverse @ moments[kept]) ** 2 / np.maximum(np.diag(inverse), SMALLEST)
         least = int(np.argmin(losses))
-        if residual.freedom * math.log1p(float(losses[least]) / left) > price:
+        if residual.freedom * math.log1p(float(losses[least]) / remaining) > price:
             break
-        left += float(losses[least])
+        remaining += float(losses[least])
         kept = np.delete(kept, least)
     choices = math.comb(len(rows), len(kept))
     value = residual.bic_gain(rows[kept]) - 2.0 * math.log(choices)

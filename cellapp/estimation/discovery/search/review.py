@@ -1,4 +1,4 @@
-"""Review of a model: drop terms made superfluous by others, and find rivals of the remaining ones."""
+"""Review of a model: drop terms made superfluous by others, and find alternatives of the remaining ones."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cellapp.estimation.design.information import SMALLEST, NuisanceProjector
 from cellapp.estimation.discovery.arm_data import UNKNOWN, CandidateLaw, LawScore, ModelTerm, without_term
 from cellapp.estimation.discovery.joint_fit import JointFit, ProjectedResidual, cross_validated_gain, fit_terms
 from cellapp.estimation.discovery.records import RunnerUp
-from cellapp.estimation.discovery.search.free_part import BesideField, explains_beside_free_parts
+from cellapp.estimation.discovery.search.discrepancy_term import BesideField, explains_beside_discrepancies
 from cellapp.estimation.discovery.search.scan import LawScan, choice_price
 from cellapp.estimation.discovery.search.state import (
     NEARLY,
@@ -36,7 +36,7 @@ from cellapp.robot.effects.periodic import LINES
 from cellapp.robot.kinematics.transforms import Array
 
 _AS_WELL = 0.5
-"""Share of the score of the parameters it replaces that an effect must reach: a fitted free part scores more."""
+"""Share of the score of the parameters it replaces that an effect must reach: a fitted discrepancy term scores more."""
 _SAME_SHAPE = 0.999
 """Cosine from which two columns are taken to move the SMR alike."""
 SAME_CAUSE = 0.05
@@ -48,7 +48,7 @@ def reviewed(problem: SearchProblem, state: SearchState) -> SearchState:
     """Drop superfluous terms one by one, the weakest first; return the new state."""
     dropped = list(state.dropped)
     while True:
-        problem.cancel.check()
+        problem.job.check()
         problem.say(f"review of {counted(len(state.fit.terms), 'effect')}")
         out = _weakest(problem, state)
         if out is None:
@@ -117,25 +117,24 @@ def review(problem: SearchProblem, state: SearchState, number: int) -> Review:
     residual = fit.residual_without(number)
     others = [slug for slug in problem.slugs if slug not in state.slugs]
     best = state.scan(others).behind_of(residual.projector).best_of_each_effect(residual)
-    rivals = [
-        RunnerUp(
-            effect=rival.slug, statistic=rival.value, distinguishable=_explains_beside(problem, fit, number, rival)
-        )
-        for rival in best
-        if rival.value > max(score - SCORE_MARGIN, 0.0)
+    alternatives = [
+        RunnerUp(effect=one.slug, statistic=one.value, distinguishable=_explains_beside(problem, fit, number, one))
+        for one in best
+        if one.value > max(score - SCORE_MARGIN, 0.0)
     ]
     contained = _contained(problem, state, number)
-    inside = {rival.effect for rival in contained}
-    rivals = [*(rival for rival in rivals if rival.effect not in inside), *contained]
-    alternatives = {rival.slug: rival.value for rival in best}
-    alternatives |= {
-        rival.slug: possible_score(residual, rival) for rival in best if rival.value > score - 2.0 * SCORE_MARGIN
+    inside = {one.effect for one in contained}
+    alternatives = [*(one for one in alternatives if one.effect not in inside), *contained]
+    alternative_scores = {one.slug: one.value for one in best}
+    alternative_scores |= {
+        one.slug: possible_score(residual, one) for one in best if one.value > score - 2.0 * SCORE_MARGIN
     }
-    return Review(term, score, problem.p_value(score), tuple(rivals), alternatives)
+    return Review(term, score, problem.p_value(score), tuple(alternatives), alternative_scores)
 
 
 def _contained(problem: SearchProblem, state: SearchState, number: int) -> list[RunnerUp]:
-    """Find confounded effects that may hide in a term: in place of columns of the same shape, or of its free part.
+    """Find confounded effects that may hide in a term: in place of columns of the same shape, or of its discrepancy
+    term.
 
     Dry friction and play move a joint alike, and the residual of a law may look like the other. Such an effect may be
     present beside the named one if, beside the rest of the law, it scores about as much as what it replaces.
@@ -162,7 +161,7 @@ def _contained(problem: SearchProblem, state: SearchState, number: int) -> list[
 def _in_place_of(
     problem: SearchProblem, fit: JointFit, replaced: NDArray[np.bool_], target: Array, laws: Sequence[CandidateLaw]
 ) -> list[RunnerUp]:
-    """Return the best of some laws as a rival if it explains ``target`` like the ``replaced`` parameters."""
+    """Return the best of some laws as an alternative if it explains ``target`` like the ``replaced`` parameters."""
     projector = fit.projector_of(~replaced)
     rest = ProjectedResidual(projector, target)
     gain = math.log(rest.square / fit.projected_residual.square) * rest.freedom
@@ -184,11 +183,11 @@ def _shared_columns(rows: Array, laws: Sequence[CandidateLaw]) -> NDArray[np.boo
     return shared
 
 
-def _explains_beside(problem: SearchProblem, fit: JointFit, number: int, rival: LawScore) -> bool:
-    """Return whether a term still passes the threshold in a model that contains the rival."""
+def _explains_beside(problem: SearchProblem, fit: JointFit, number: int, one: LawScore) -> bool:
+    """Return whether a term still passes the threshold in a model that contains the alternative."""
     kept = fit.layout.all_but(number)
-    rows = np.concatenate([fit.rows[kept], rival.rows])
-    precision = np.concatenate([fit.precision[kept], np.zeros(len(rival.chosen))])
+    rows = np.concatenate([fit.rows[kept], one.rows])
+    precision = np.concatenate([fit.precision[kept], np.zeros(len(one.chosen))])
     residual = ProjectedResidual(NuisanceProjector.of(rows, precision), fit.residual_without(number).residual)
     score = residual.bic_gain(fit.law_rows(number))
     return score > problem.threshold
@@ -228,7 +227,7 @@ def _contradiction(problem: SearchProblem, state: SearchState) -> SearchStep | N
         remaining = 0.0 if possible is None else max(possible.value, 0.0)
         if score.value - remaining <= max(problem.threshold, SCORE_MARGIN):
             continue
-        if explains_beside_free_parts(problem, state, score) and (
+        if explains_beside_discrepancies(problem, state, score) and (
             cross_validated_gain(state.data, fit, score.rows) > 0.0
         ):
             return problem.step(UNKNOWN, term.note, score.value, (*fit.terms, term))

@@ -324,15 +324,15 @@ class BlockSelection:
         main = self._promising(main, ())
         best, number = self._best(main)
         chosen = main[number]
-        left = [block for block in self.blocks if block != chosen]
-        while left and best > 0.0:
-            left = self._promising(left, chosen)
-            top, number = self._best([(*chosen, *block) for block in left])
-            block = left[number]
+        remaining = [block for block in self.blocks if block != chosen]
+        while remaining and best > 0.0:
+            remaining = self._promising(remaining, chosen)
+            top, number = self._best([(*chosen, *block) for block in remaining])
+            block = remaining[number]
             if top - line_price <= best + NEXT_BLOCK:
                 break
             best, chosen = top - line_price, (*chosen, *block)
-            left = [other for other in left if other != block]
+            remaining = [other for other in remaining if other != block]
         return chosen, best
 
     def _backward(self) -> tuple[Block, float]:

@@ -28,7 +28,7 @@ from cellapp.estimation.discovery.joint_fit import JointFit, ProjectedResidual, 
 from cellapp.estimation.discovery.records import RunnerUp
 from cellapp.estimation.discovery.search.scan import LawScan, choice_price, corrected_p_value
 from cellapp.ground.errors import tried
-from cellapp.ground.progress import CancelToken
+from cellapp.ground.progress import JobToken
 from cellapp.ground.threads import give_back
 from cellapp.robot.effects import EFFECTS, Law
 from cellapp.robot.effects.effect import is_contradiction
@@ -39,8 +39,8 @@ Found = TypeVar("Found")
 
 SCORE_MARGIN = 10.0
 """Difference of scores that counts as very strong evidence (Kass, Raftery, J. Am. Stat. Ass. 90 (1995) 773: twice the
-log Bayes factor above 10). Effects within this margin of an accepted one are its rivals. A law outside the library, and
-a more complicated law, must lead by it."""
+log Bayes factor above 10). Effects within this margin of an accepted one are its alternatives. A law outside the
+library, and a more complicated law, must lead by it."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ class SearchProblem:
         Largest scores in simulated data without effects.
     threshold : float
         Score that an effect must pass.
-    cancel : CancelToken
+    job : JobToken
     say : callable
         Callback for a short message on the current activity.
     not_fitted : list of str
@@ -110,7 +110,7 @@ class SearchProblem:
     slugs: tuple[str, ...]
     null_maxima: Array
     threshold: float
-    cancel: CancelToken
+    job: JobToken
     say: Callable[[str], None]
     not_fitted: list[str] = field(default_factory=list)
 
@@ -133,16 +133,16 @@ class SearchProblem:
 
 @dataclass(frozen=True)
 class Review:
-    """Score of an accepted term beside all others, and its rivals.
+    """Score of an accepted term beside all others, and its alternatives.
 
-    ``alternatives`` maps the slug of every effect to its score in the term's place, with physically possible values.
+    ``alternative_scores`` maps the slug of every effect to its score in the term's place, physically possible.
     """
 
     term: ModelTerm
     score: float
     p_value: float
-    rivals: tuple[RunnerUp, ...]
-    alternatives: Mapping[str, float] = field(default_factory=dict)
+    alternatives: tuple[RunnerUp, ...]
+    alternative_scores: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -303,7 +303,7 @@ def possible_score(residual: ProjectedResidual, score: LawScore) -> float:
     """Return the score without blocks that need impossible values; minus infinity if no other block is left.
 
     Values are estimated linearly. A joint fit (``within_bounds``) is more exact at a hundred times the cost, too much
-    for every rival of every effect.
+    for every alternative of every effect.
     """
     possible = _without_blocks(
         residual, score, lambda current: impossible_blocks(residual, current)[1], with_refinements=False
@@ -316,16 +316,16 @@ def _without_blocks(
 ) -> LawScore | None:
     """Select a law's other blocks again until ``impossible`` names none; None if no block is left."""
     candidate, current = score.candidate, score
-    left = list(range(len(candidate.columns)))
+    remaining = list(range(len(candidate.columns)))
     while banned := impossible(current):
-        left = [place for place in left if candidate.columns[place].block not in banned]
-        if not left:
+        remaining = [place for place in remaining if candidate.columns[place].block not in banned]
+        if not remaining:
             return None
-        scan = LawScan.of([candidate.keep(left)], residual.projector)
+        scan = LawScan.of([candidate.keep(remaining)], residual.projector)
         again = scan.score(0, residual, with_refinements=with_refinements)
         if again is None:
             return None
-        chosen = tuple(left[place] for place in again.chosen)
+        chosen = tuple(remaining[place] for place in again.chosen)
         current = replace(again, candidate=candidate, chosen=chosen)
     return current
 

@@ -3,7 +3,7 @@
 1. Add effects of the library while one passes the threshold. Refine the law of an effect before a second is named.
 2. If the named effects leave more than the noise, extend the model beyond the library: by data-driven terms or free
    curves of the joints. Try these beside the named effects and, unless the names explain nearly all, in their place.
-3. Review each model, take the best by the Bayesian information criterion, and find the rivals of its terms.
+3. Review each model, take the best by the Bayesian information criterion, and find the alternatives of its terms.
 4. Drop a named effect that is more probably absent than present, and search again without it. Withdraw the name of
    a term that is more probably a part of something unknown.
 """
@@ -46,12 +46,12 @@ from cellapp.estimation.discovery.search.data_driven import (
     with_data_driven_terms,
     without_imitations,
 )
-from cellapp.estimation.discovery.search.free_part import (
+from cellapp.estimation.discovery.search.discrepancy_term import (
     are_confounded,
-    explains_beside_free_parts,
+    explains_beside_discrepancies,
     may_stand_for_confounded,
-    with_free_parts,
-    without_free_parts,
+    with_discrepancies,
+    without_discrepancies,
 )
 from cellapp.estimation.discovery.search.review import review, reviewed, term_score, with_contradiction
 from cellapp.estimation.discovery.search.scan import LawScan, score_threshold, simulate_null_maxima
@@ -69,7 +69,7 @@ from cellapp.estimation.discovery.search.state import (
     scatter,
     within_bounds,
 )
-from cellapp.estimation.discovery.search.unnamed import smooth_numbers, with_unnamed, without_names
+from cellapp.estimation.discovery.search.unnamed_term import smooth_numbers, with_unnamed, without_names
 from cellapp.ground.counting import counted
 from cellapp.ground.progress import JobSteps
 from cellapp.robot.effects import EFFECTS, ActsOn, InputVariable
@@ -97,7 +97,7 @@ def addition(problem: SearchProblem, state: SearchState, score: LawScore) -> Sea
         return None
     if _acts_as_one_joint(state, possible):
         return None
-    if not explains_beside_free_parts(problem, state, possible):
+    if not explains_beside_discrepancies(problem, state, possible):
         return None
     if cross_validated_gain(state.data, state.fit, possible.rows) <= 0.0:
         return None
@@ -154,7 +154,7 @@ _MOST_STEPS = 16
 LEAST_FREEDOM = 30.0
 """Least measured coordinates beyond the determined parameters for a search: any law fits the residuals of fewer."""
 _EVEN_ODDS = 0.5
-"""Least probability at which a name, or an answer set of names, is accepted."""
+"""Least probability at which a name, or a set of confounded names, is accepted."""
 _CONTRADICTED = 0.7
 """Ratio of scatter to stated uncertainty below which readings contradict what they state: the ratio is known to a few
 percent, and a standard uncertainty that is stated half as large again is a usual caution."""
@@ -186,7 +186,7 @@ def search(data: ArmData, slugs: Sequence[str], steps: JobSteps) -> SearchResult
     seed = (data.profile.seed, _NULL_SEED)
     null_maxima = simulate_null_maxima(start.scan(slugs), fit.projector, settings.null_simulations, seed)
     threshold = score_threshold(null_maxima, settings.false_alarm)
-    problem = SearchProblem(data, tuple(slugs), null_maxima, threshold, steps.cancel, progress.say)
+    problem = SearchProblem(data, tuple(slugs), null_maxima, threshold, steps.job, progress.say)
     progress.step("effects of the library")
     before_names = _smooth(problem, start)
     claim = _claim(data, start, before_names)
@@ -218,22 +218,23 @@ def _claim(data: ArmData, start: SearchState, before_names: SearchState | None) 
 
 
 def _probability_of_answers(found: SearchResult, probable: Posteriors) -> list[tuple[float, bool]]:
-    """Return the probability of each term's name and of the rivals that the data cannot distinguish from it, in order.
+    """Return the probability of each term's name and of the alternatives that the data cannot distinguish from it, in
+    order.
 
-    The second value tells whether such a rival is more probable than the name.
+    The second value tells whether such an alternative is more probable than the name.
     """
     answers = []
     for own, one in zip(probable.terms, found.reviews, strict=True):
-        rivals = [probable.effects.get(rival.effect, 0.0) for rival in one.rivals if not rival.distinguishable]
-        answers.append((own + sum(rivals), own < max(rivals, default=0.0)))
+        likely = [probable.effects.get(other.effect, 0.0) for other in one.alternatives if not other.distinguishable]
+        answers.append((own + sum(likely), own < max(likely, default=0.0)))
     return answers
 
 
 def _result(problem: SearchProblem, state: SearchState, geometry_only: JointFit) -> SearchResult:
-    """Build the outcome of a search from its last state, with the rivals of each term."""
+    """Build the outcome of a search from its last state, with the alternatives of each term."""
     reviews = []
     for number, term in enumerate(state.fit.terms):
-        problem.cancel.check()
+        problem.job.check()
         problem.say(f"alternatives of effect {number + 1} of {len(state.fit.terms)}, {term.slug}")
         reviews.append(review(problem, state, number))
     return SearchResult(
@@ -250,10 +251,10 @@ def _result(problem: SearchProblem, state: SearchState, geometry_only: JointFit)
 def _probable(problem: SearchProblem, found: SearchResult, state: SearchState) -> SearchResult:
     """Drop the names that are more probably absent than present, the least probable first, and return the outcome.
 
-    Rivals that the data cannot distinguish from a name form one answer set with it, and their probabilities add. A
-    rival may take the place of a dropped name; the same test applies to it. A name gives way to a more probable rival
-    if the search without the name ends in a model that is no worse. Otherwise the difference limits the score of any
-    rival in its place.
+    Alternatives that the data cannot distinguish from a name form one set of alternatives with it, and their
+    probabilities add. A alternative may take the place of a dropped name; the same test applies to it. A name gives way
+    to a more probable alternative if the search without the name ends in a model that is no worse. Otherwise the
+    difference limits the score of any alternative in its place.
     """
     while True:
         probable = posteriors_of(found, remaining_scan(found))
@@ -264,28 +265,28 @@ def _probable(problem: SearchProblem, found: SearchResult, state: SearchState) -
             state = replace(state, fit=without_names(state.fit, nameless))
             found = replace(_result(problem, state, found.geometry_only), improbable={**found.improbable, **improbable})
             continue
-        doubtful = [
+        unlikely = [
             (probability, number)
             for number, (probability, led) in enumerate(answers)
             if state.fit.terms[number].slug != UNKNOWN and (led or probability < _EVEN_ODDS)
         ]
         reviews = list(found.reviews)
-        for probability, number in sorted(doubtful):
+        for probability, number in sorted(unlikely):
             state.give_up_scan()
             without, rest = _searched_without(problem, state, number)
             worse = criterion(rest.fit) - criterion(state.fit)
             if probability < _EVEN_ODDS or worse <= 0.0:
                 break
             most = reviews[number].score - worse
-            alternatives = {slug: min(score, most) for slug, score in reviews[number].alternatives.items()}
-            reviews[number] = replace(reviews[number], alternatives=alternatives)
+            limited = {slug: min(score, most) for slug, score in reviews[number].alternative_scores.items()}
+            reviews[number] = replace(reviews[number], alternative_scores=limited)
         else:
             found = replace(found, reviews=tuple(reviews))
-            if doubtful:
+            if unlikely:
                 probable = posteriors_of(found, remaining_scan(found))
-                left = [probability for probability, _ in _probability_of_answers(found, probable)]
-                if any(left[number] < _EVEN_ODDS for _, number in doubtful):
-                    continue  # with its rivals limited it is improbable by itself
+                others = [probability for probability, _ in _probability_of_answers(found, probable)]
+                if any(others[number] < _EVEN_ODDS for _, number in unlikely):
+                    continue  # with its alternatives limited it is improbable by itself
             unnamed = without_imitations(problem, state)
             if unnamed is not state:
                 found = replace(_result(problem, unnamed, found.geometry_only), improbable=found.improbable)
@@ -300,8 +301,8 @@ def _searched_without(problem: SearchProblem, state: SearchState, number: int) -
     """Search again without the effect of a term; return the reduced problem and the last state."""
     slug = state.fit.terms[number].slug
     problem = replace(problem, slugs=tuple(one for one in problem.slugs if one != slug))
-    # free parts were fitted beside the dropped term, and may hold the effect that takes its place
-    rest = problem.state(without_free_parts(without_term(state.fit.terms, number)), state)
+    # discrepancy terms were fitted beside the dropped term, and may hold the effect that takes its place
+    rest = problem.state(without_discrepancies(without_term(state.fit.terms, number)), state)
     rest = replace(rest, dropped=(*rest.dropped, slug))
     return problem, reviewed(problem, _with_library_effects(problem, rest))
 
@@ -374,8 +375,8 @@ def _with_contradictions(problem: SearchProblem, start: SearchState, named: Sear
 
 def _far_from_floor(state: SearchState) -> bool:
     """Return whether the residuals are so far above the noise that one more law will hardly reach it."""
-    left = scatter(state.data, state.fit)
-    return left is None or left.ratio > _FAR
+    others = scatter(state.data, state.fit)
+    return others is None or others.ratio > _FAR
 
 
 def _beats_all_names(problem: SearchProblem, free: SearchState | None, named: SearchState, factor: float = 1.0) -> bool:
@@ -416,13 +417,13 @@ def _with_library_effects(
     refused: set[tuple[str, str]] = set()
     refining, freed = True, False
     for _ in range(_MOST_STEPS):
-        problem.cancel.check()
+        problem.job.check()
         problem.say(f"model with {counted(len(state.fit.terms), 'effect')}")
         if _beats_all_names(problem, before_names, state, _CLEARLY):
             break
         step = _next_step(problem, state, refused, refining=refining)
         if step is None or (not freed and may_stand_for_confounded(state, step)):
-            free = None if freed else problem.tried("discrepancy terms", partial(with_free_parts, problem, state))
+            free = None if freed else problem.tried("discrepancy terms", partial(with_discrepancies, problem, state))
             if free is not None:  # these hold the errors of the laws: search once more
                 state.give_up_scan()
                 state, freed = free, True
@@ -452,8 +453,8 @@ def _next_step(
     Laws that do not hold join ``refused``.
     """
     fit = state.fit
-    left = [slug for slug in problem.slugs if slug not in state.slugs]
-    ranked = state.scan(left).ranked(fit.projected_residual, least=problem.threshold)
+    others = [slug for slug in problem.slugs if slug not in state.slugs]
+    ranked = state.scan(others).ranked(fit.projected_residual, least=problem.threshold)
     scores = [score for score in ranked if score.key not in refused]
     # beside smooth functions laws are seldom off and their refinement is costly: try it last
     late = has_smooth_terms(fit.terms)
@@ -586,9 +587,10 @@ def _better_law(problem: SearchProblem, state: SearchState, number: int, needed:
 
 
 def _further_block(problem: SearchProblem, state: SearchState, number: int, needed: float) -> SearchStep | None:
-    """Return a step to one more joint or refining column beside all that a term has, its free part included; else None.
+    """Return a step to one more joint or refining column beside all that a term has, its discrepancy term included;
+    else None.
 
-    Selecting the whole law again would omit the free part, and its residual hides small blocks.
+    Selecting the whole law again would omit the discrepancy term, and its residual hides small blocks.
     """
     fit, term = state.fit, state.fit.terms[number]
     if term.law.form == LINES:  # each further line has a price of its own

@@ -82,11 +82,11 @@ def take_own_readings(app: Host) -> None:
     """Ask for external readings; create their profile and run, and open the run."""
     from cellapp.commands.init.request import VERB as INIT
     from cellapp.commands.init.request import InitRequest
-    from cellapp.interfaces.tui import work
+    from cellapp.interfaces.tui import verb_jobs
 
     def begin(request: Request | None) -> None:
         if isinstance(request, InitRequest):
-            app.start_job(work.own_readings(request))
+            app.start_job(verb_jobs.own_readings(request))
 
     text = (
         "A text file with a row of names, joint positions and points. Separators, decimal commas and units are found"

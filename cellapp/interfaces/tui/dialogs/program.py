@@ -18,10 +18,10 @@ from textual.widgets import Button, Input, Static
 
 from cellapp.commands.doctor.request import VERB as DOCTOR
 from cellapp.commands.rehearse.request import VERB as REHEARSE
+from cellapp.interfaces.tui.confirmations import offer_verb, offer_verb_of_profile, verbs_of_run
 from cellapp.interfaces.tui.dialogs.question import Question
 from cellapp.interfaces.tui.host import Host
 from cellapp.interfaces.tui.keys import step_of
-from cellapp.interfaces.tui.offers import offer_verb, offer_verb_of_profile, verbs_of_run
 from cellapp.interfaces.tui.screens import SCREENS
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.controls import StopCorner

@@ -25,11 +25,11 @@ from cellapp.commands.report.request import VERB as REPORT
 from cellapp.commands.run_results import RunResults
 from cellapp.estimation.iso9283.norm import ISO_COMMANDS, ISO_TESTS
 from cellapp.ground.results import CERTIFICATE, CHECK, ISO9283, StageName
-from cellapp.interfaces.tui import work
+from cellapp.interfaces.tui import verb_jobs
+from cellapp.interfaces.tui.confirmations import BEGIN, USE_STALE, arms_words, ask_of_calibrated
 from cellapp.interfaces.tui.dialogs.question import ChosenAnswer
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.keys import bind, with_keys
-from cellapp.interfaces.tui.offers import BEGIN, USE_STALE, arms_words, ask_of_calibrated
 from cellapp.interfaces.tui.run_state import COPY_IT, RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.parts_view import PartsView, words_first
@@ -151,7 +151,7 @@ class AcceptScreen(DayScreen):
     def action_report(self) -> None:
         """Write the report of the open run."""
         if (calibrated := self.calibrated_run()) is not None:
-            self.start(work.job_of(REPORT, folder=calibrated[0]))
+            self.start(verb_jobs.job_of(REPORT, folder=calibrated[0]))
 
     def tab_shown(self, tabs: TabbedContent) -> None:
         """Focus the tables of the tab."""

@@ -21,10 +21,10 @@ from cellapp.interfaces.tui.host import Host
 from cellapp.interfaces.tui.job_record import JobRecord
 from cellapp.interfaces.tui.keys import way_of
 from cellapp.interfaces.tui.run_state import RunState
+from cellapp.interfaces.tui.verb_jobs import verb_job
 from cellapp.interfaces.tui.widgets.arm_panel import JobPanel, LiveStrip
 from cellapp.interfaces.tui.widgets.controls import KeyLine
 from cellapp.interfaces.tui.widgets.header import DayHeader, StepLine
-from cellapp.interfaces.tui.work import verb_job
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
 if TYPE_CHECKING:

@@ -30,11 +30,11 @@ from cellapp.commands.view.charts import Chart
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import with_effects
 from cellapp.ground.results import CALIBRATE, Result
-from cellapp.interfaces.tui import work
+from cellapp.interfaces.tui import verb_jobs
+from cellapp.interfaces.tui.confirmations import BEGIN, WRITE, offer_again
 from cellapp.interfaces.tui.dialogs.question import ChosenAnswer, reading_of
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.keys import bind
-from cellapp.interfaces.tui.offers import BEGIN, WRITE, offer_again
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.parts_view import PartsView
@@ -125,7 +125,7 @@ class CalibrateScreen(DayScreen):
     def action_begin(self) -> None:
         """Calibrate the open run."""
         if folder := self.open_folder():
-            job = work.job_of(request.VERB, folder=folder)
+            job = verb_jobs.job_of(request.VERB, folder=folder)
             offer_again(self, "Calibrate again?", self._result, CALIBRATE, partial(self.start, job))
 
     def action_otherwise(self) -> None:
@@ -176,7 +176,7 @@ class CalibrateScreen(DayScreen):
 
     @in_thread(thread=True, exclusive=True)
     def _read(self, workspace: Workspace) -> None:
-        self.call_later(self._take, workspace, work.report_data(workspace.folder))
+        self.call_later(self._take, workspace, verb_jobs.report_data(workspace.folder))
 
     def _take(self, workspace: Workspace, data: ReportData | None) -> None:
         """Draw the plots of the data, unless another workspace was opened meanwhile."""

@@ -18,7 +18,7 @@ from cellapp.commands.docs.keys import SHOWN
 from cellapp.commands.doctor.request import VERB as DOCTOR
 from cellapp.commands.doctor.request import DoctorRequest
 from cellapp.ground.starters import offered_profiles
-from cellapp.interfaces.tui import work as verbs
+from cellapp.interfaces.tui import verb_jobs as verbs
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.keys import bind
 from cellapp.interfaces.tui.screens.base import DayScreen

@@ -38,12 +38,12 @@ from cellapp.ground.control import Request
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import CellappError
 from cellapp.ground.progress import JobState
-from cellapp.interfaces.tui import work as jobs
+from cellapp.interfaces.tui import verb_jobs as jobs
+from cellapp.interfaces.tui.confirmations import BEGIN, arms_words
 from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.job_record import LEVELS, ArmRecord, JobRecord, LogRow, level_of
 from cellapp.interfaces.tui.jobs import Job
 from cellapp.interfaces.tui.keys import bind
-from cellapp.interfaces.tui.offers import BEGIN, arms_words
 from cellapp.interfaces.tui.run_state import COPY_IT, RunState, holds_for_drift
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.terminal import since_words
@@ -110,26 +110,26 @@ def _of_run(state: RunState) -> Headline:
     word, sentence, look = _of_stops(state)
     if state.read_only:
         sentence = COPY_IT
-    elif state.drift and state.left:
+    elif state.drift and state.remaining:
         sentence = f"The references moved beyond their limit: {SHOWN['drift']} accepts that and resumes. {sentence}"
     return Headline(word, sentence, look)
 
 
 def _of_stops(state: RunState) -> tuple[str, str, Look]:
-    go, on, left, measured = SHOWN["go"], f"{SHOWN['next']} goes to the next step", state.left, state.measured
-    if not left and not measured:
+    go, on, todo, measured = SHOWN["go"], f"{SHOWN['next']} goes to the next step", state.remaining, state.measured
+    if not todo and not measured:
         return "NO PLAN", f"This run has no stops to measure: keys 2, {go} plan a run.", "idle"
-    if not left:
+    if not todo:
         return f"COMPLETE, {counted(measured, 'stop')}", f"{on}.", "done"
     if not measured:
-        return f"READY, {counted(left, 'stop')}", f"{go} begins. Nothing moves before it is confirmed.", "idle"
+        return f"READY, {counted(todo, 'stop')}", f"{go} begins. Nothing moves before it is confirmed.", "idle"
     if state.outcome == "accurate enough":
-        sentence = f"{on}; {go} measures the {counted(left, 'stop')} that are left."
-        return f"ACCURATE ENOUGH, {measured} of {counted(measured + left, 'stop')}", sentence, "idle"
+        sentence = f"{on}; {go} measures the {counted(todo, 'stop')} that are left."
+        return f"ACCURATE ENOUGH, {measured} of {counted(measured + todo, 'stop')}", sentence, "idle"
     if state.outcome == "complete":
-        return f"{left} MORE STOPS", f"{measured} are measured; {go} measures those that were planned since.", "idle"
-    sentence = f"{go} measures the {counted(left, 'stop')} that are left."
-    return f"INTERRUPTED, {measured} of {counted(measured + left, 'stop')}", sentence, "idle"
+        return (f"{todo} MORE STOPS", f"{measured} are measured; {go} measures those that were planned since.", "idle")
+    sentence = f"{go} measures the {counted(todo, 'stop')} that are left."
+    return f"INTERRUPTED, {measured} of {counted(measured + todo, 'stop')}", sentence, "idle"
 
 
 View = Literal["log", "plots", "stops", "collected"]
@@ -201,7 +201,7 @@ class CollectScreen(DayScreen):
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """Enable only actions that are possible now."""
         idle, state = not self.cell_app.jobs.running, self.state
-        free = idle and state.left > 0 and not (state.in_use or state.read_only or state.no_run)
+        free = idle and state.remaining > 0 and not (state.in_use or state.read_only or state.no_run)
         drift = free and state.drift if idle else holds_for_drift(self.cell_app.record)
         again = idle and not (state.in_use or state.read_only or state.no_run)
         again = again and self.has_class("stops") and bool(self.query_one(CollectedStops).again)
@@ -209,18 +209,18 @@ class CollectScreen(DayScreen):
 
     def action_begin(self) -> None:
         """Collect the open planned run, or the remaining stops of an interrupted one."""
-        left, measured = self.state.left, self.state.measured
+        todo, measured = self.state.remaining, self.state.measured
         if measured:
-            self._collect("Resume?", f"the {counted(left, 'stop')} that are left; {measured} are measured", resume=True)
+            self._collect("Resume?", f"the {counted(todo, 'stop')} that are left; {measured} are measured", resume=True)
         else:
-            self._collect("Begin to collect?", counted(left, "stop"), resume=False)
+            self._collect("Begin to collect?", counted(todo, "stop"), resume=False)
 
     def action_accept_drift(self) -> None:
         """Accept the drift: it is then relative to new first measurements."""
         if self.cell_app.jobs.running:
             self.cell_app.action_resume()  # the job measures its references again
             return
-        what = f"{counted(self.state.left, 'stop')}; drift of the references counts from new first measurements"
+        what = f"{counted(self.state.remaining, 'stop')}; drift of the references counts from new first measurements"
         self._collect("Accept the drift and resume?", what, resume=True, accept_drift=True)
 
     def action_measure_again(self) -> None:

@@ -19,10 +19,10 @@ from cellapp.commands.docs.keys import SHOWN
 from cellapp.estimation.discovery.records import DiscoverResult
 from cellapp.ground.counting import counted
 from cellapp.ground.results import DISCOVER
-from cellapp.interfaces.tui import work
+from cellapp.interfaces.tui import verb_jobs
+from cellapp.interfaces.tui.confirmations import BEGIN, arms_words, offer_again
 from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.keys import bind, with_keys
-from cellapp.interfaces.tui.offers import BEGIN, arms_words, offer_again
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.parts_view import PartsView
@@ -63,28 +63,28 @@ class DiscoverScreen(DayScreen):
     def action_begin(self) -> None:
         """Search the open run."""
         if folder := self.open_folder():
-            job = work.job_of(request.VERB, folder=folder)
+            job = verb_jobs.job_of(request.VERB, folder=folder)
             offer_again(self, "Search again?", self._result, DISCOVER, partial(self.start, job))
 
     def action_propose(self) -> None:
         """Search, then plan further stops."""
         if folder := self.open_folder():
-            job = work.job_of(request.VERB, folder=folder, propose=_PROPOSED)
+            job = verb_jobs.job_of(request.VERB, folder=folder, propose=_PROPOSED)
             title = "Search again, then propose stops?"
             offer_again(self, title, self._result, DISCOVER, partial(self.start, job))
 
     def action_collect(self) -> None:
         """Ask, then measure the planned stops that are not measured yet."""
-        folder, left = self.open_folder(), self.state.left
+        folder, todo = self.open_folder(), self.state.remaining
         if folder is None:
             return
-        if left == 0:
+        if todo == 0:
             self.say(f"No stop is left to measure: {SHOWN['add']} proposes further ones.", "warning")
             return
-        text = f"{counted(left, 'stop is', 'stops are')} left to measure in {folder}; {arms_words(self.workspace)}."
+        text = f"{counted(todo, 'stop is', 'stops are')} left to measure in {folder}; {arms_words(self.workspace)}."
 
         def begin() -> None:
-            self.start(work.job_of(COLLECT, folder=folder, resume=True))
+            self.start(verb_jobs.job_of(COLLECT, folder=folder, resume=True))
             self.cell_app.action_show("collect")
 
         self.ask(Choice("Collect?", text, BEGIN), begin)

@@ -15,10 +15,10 @@ from cellapp.commands.docs.keys import SHOWN
 from cellapp.commands.export.request import VERB as EXPORT
 from cellapp.commands.plan.request import VERB as PLAN
 from cellapp.ground.counting import counted
-from cellapp.interfaces.tui import work as verbs
+from cellapp.interfaces.tui import verb_jobs as verbs
+from cellapp.interfaces.tui.confirmations import BEGIN
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.keys import bind
-from cellapp.interfaces.tui.offers import BEGIN
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.parts_view import PartsView

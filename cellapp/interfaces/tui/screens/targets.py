@@ -42,12 +42,12 @@ from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import Result
-from cellapp.interfaces.tui import work
+from cellapp.interfaces.tui import verb_jobs
+from cellapp.interfaces.tui.confirmations import BEGIN, READING_WIDTH, USE_STALE, WRITE, arms_words, ask_of_calibrated
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.dialogs.question import Choice, reading_of
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.keys import bind
-from cellapp.interfaces.tui.offers import BEGIN, READING_WIDTH, USE_STALE, WRITE, arms_words, ask_of_calibrated
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.parts_view import PartsView, words_first
@@ -210,7 +210,7 @@ class TargetsScreen(DayScreen):
     def action_compensate(self) -> None:
         """Compute commands for the shown list."""
         if (folder := self._ready()) is not None:
-            self.start(work.job_of(COMPENSATE, folder=folder, targets=self._targets))
+            self.start(verb_jobs.job_of(COMPENSATE, folder=folder, targets=self._targets))
 
     def action_push(self) -> None:
         """Ask, then drive to the targets."""
@@ -218,7 +218,7 @@ class TargetsScreen(DayScreen):
             stale, text = self._push_words("")
             given = {"folder": folder, "targets": self._targets, "verify": False, "out_of_date": stale}
             answers = USE_STALE if stale else BEGIN
-            self.ask(Choice("Push?", text, answers), lambda: self.start(work.job_of(PUSH, **given)))
+            self.ask(Choice("Push?", text, answers), lambda: self.start(verb_jobs.job_of(PUSH, **given)))
 
     def action_verify(self) -> None:
         """Ask, also how often each target is corrected; then drive to the targets and measure."""

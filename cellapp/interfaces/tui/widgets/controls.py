@@ -154,14 +154,14 @@ class Entry:
 
 def key_lines(entries: Sequence[Entry], width: int, most: int = 2) -> list[list[Entry]]:
     """Distribute entries over lines without breaking any. If not all fit, the last ones of the screen are omitted."""
-    left = list(entries)
+    shown = list(entries)
     while True:
         lines: list[list[Entry]] = [[]]
-        for entry in left:
+        for entry in shown:
             if lines[-1] and sum(one.width for one in lines[-1]) + entry.width > width:
                 lines.append([])
             lines[-1].append(entry)
-        if len(lines) <= most or len(left) == 1:
+        if len(lines) <= most or len(shown) == 1:
             return lines[:most]
-        own = [place for place, entry in enumerate(left) if not entry.general]
-        left.pop(own[-1] if own else 0)
+        own = [place for place, entry in enumerate(shown) if not entry.general]
+        shown.pop(own[-1] if own else 0)

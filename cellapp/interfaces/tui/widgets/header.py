@@ -116,8 +116,8 @@ def job_words(record: JobRecord) -> str:
         return f"{record.name} ..."
     state = "" if record.state == "running" else f" {record.state.upper()}"
     present = present_part(record)
-    left_s = None if present is None else present.left_s(time.monotonic())
-    eta = eta_words(left_s) if left_s and left_s > 0.0 else ""
+    remaining_s = None if present is None else present.remaining_s(time.monotonic())
+    eta = eta_words(remaining_s) if remaining_s and remaining_s > 0.0 else ""
     has_parts = len(record.progress) > 1 or record.name == "run"
     part = f"{record.name}: {latest.job}" if has_parts and latest.job != record.name else record.name
     return f"{part}{state} {latest.done}/{latest.total}" + (f", {eta}" if eta else "")

@@ -31,7 +31,7 @@ class Part:
     pace: Pace | None = None
     waits: bool = False
 
-    def left_s(self, now_s: float) -> float | None:
+    def remaining_s(self, now_s: float) -> float | None:
         """Return the remaining time: the estimate minus its age; None if the job waits."""
         if self.progress is None or not self.progress.eta_s or self.waits:
             return None
@@ -134,7 +134,7 @@ def _line(part: Part, width: int, now: datetime) -> Content:
     filled = length if _done(part) else int(length * progress.done / max(progress.total, 1))
     rate = None if part.pace is None or _done(part) else part.pace.per_minute(progress.done)
     paced = "" if rate is None else f"{rate:.3g}/min" if rate < _WHOLE else f"{rate:.0f}/min"
-    ending = "" if _done(part) else ending_words(part.left_s(time.monotonic()), now)
+    ending = "" if _done(part) else ending_words(part.remaining_s(time.monotonic()), now)
     words = " · ".join(word for word in (ending, progress.note, paced) if word)
     room = max(width - _NAME - length - _COUNT - 2, 0)
     return Content.assemble(

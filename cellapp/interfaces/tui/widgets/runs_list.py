@@ -22,9 +22,9 @@ from cellapp.commands.report.request import VERB as REPORT
 from cellapp.commands.runs.result import RunsResult
 from cellapp.commands.runs.view import run_cells, run_columns, run_lines, runs_sentences
 from cellapp.ground.errors import CellappError
-from cellapp.interfaces.tui import work as jobs_of_verbs
-from cellapp.interfaces.tui.endings import REPORT_FILE
+from cellapp.interfaces.tui import verb_jobs as jobs_of_verbs
 from cellapp.interfaces.tui.host import Host
+from cellapp.interfaces.tui.job_outcome import REPORT_FILE
 from cellapp.interfaces.tui.keys import bind, with_keys
 from cellapp.interfaces.tui.widgets.tables import TextTable
 

@@ -18,12 +18,16 @@ from cellapp.estimation.discovery.search.data_driven import (
     with_data_driven_terms,
     without_imitations,
 )
-from cellapp.estimation.discovery.search.free_part import BesideField, explains_beside_free_parts, with_free_parts
+from cellapp.estimation.discovery.search.discrepancy_term import (
+    BesideField,
+    explains_beside_discrepancies,
+    with_discrepancies,
+)
 from cellapp.estimation.discovery.search.review import review
 from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.search.state import SearchProblem, SearchResult, SearchState
 from cellapp.estimation.discovery.search.stepwise import addition, refinement, search
-from cellapp.ground.progress import CancelToken, JobSteps
+from cellapp.ground.progress import JobSteps, JobToken
 from cellapp.robot.effects import EFFECTS
 from cellapp.robot.effects.data_driven import FIELD, acted_on
 from cellapp.robot.effects.periodic import LINES
@@ -49,7 +53,7 @@ def readings_with(bend, shift, N=200) -> tuple[ArmData, JointFit]:
 
 def searched(data: ArmData, fit: JointFit) -> tuple[SearchProblem, SearchState]:
     """A search that stands at a fit."""
-    problem = SearchProblem(data, (), np.zeros(20), 30.0, CancelToken(), lambda words: None)
+    problem = SearchProblem(data, (), np.zeros(20), 30.0, JobToken(), lambda words: None)
     return problem, SearchState(data, fit)
 
 
@@ -107,7 +111,7 @@ def test_a_term_explains_a_visible_share_of_what_is_left(size, name):
 
 
 def test_a_field_over_the_workspace_is_one_smooth_term():
-    field = RandomField.drawn(11, 0.6)
+    field = RandomField.sampled(11, 0.6)
     data, fit = readings_with(np.zeros_like, lambda p: 60e-6 * field.at(p))
     found = fit_process(data, fit, 30.0)
     assert found is not None
@@ -123,7 +127,7 @@ def test_a_field_over_the_workspace_is_one_smooth_term():
 
 
 def test_beside_a_field_a_law_counts_for_what_the_waves_of_the_field_cannot_follow():
-    field = RandomField.drawn(11, 0.3)
+    field = RandomField.sampled(11, 0.3)
 
     def gain(amplitude: float) -> float:
         data, fit = readings_with(
@@ -254,7 +258,7 @@ def searched_off(bend, slug="", names=(), shift=None):
     p_M = smr_positions(model.geometry, q + bent) + moved + rng.normal(0.0, SIGMA_M, (N, 3))
     data = data_of(profile, q, approach, p_M, SIGMA_M)
     terms = (ModelTerm(slug, EFFECTS[slug].law(), names),) if slug else ()
-    problem = SearchProblem(data, tuple(EFFECTS)[:-1], np.zeros(20), THRESHOLD, CancelToken(), lambda words: None)
+    problem = SearchProblem(data, tuple(EFFECTS)[:-1], np.zeros(20), THRESHOLD, JobToken(), lambda words: None)
     return problem, SearchState(*refit(data, terms))
 
 
@@ -276,7 +280,7 @@ def linear(q, torques, approach):
 
 def test_a_law_that_is_right_has_none():
     problem, state = searched_off(linear, "joint_compliance", ("compliance2",))
-    assert with_free_parts(problem, state) is None
+    assert with_discrepancies(problem, state) is None
 
 
 def best_new_score(problem, state, slug):
@@ -288,12 +292,12 @@ def test_what_a_law_leaves_over_is_no_other_effect():
     problem, state = searched_off(softer, "joint_compliance", ("compliance2",))
     plain = [best_new_score(problem, state, slug) for slug in ("transmission_error", "encoder_eccentricity")]
     assert max(score.value for score in plain) > THRESHOLD, "it looks like one"
-    assert not any(explains_beside_free_parts(problem, state, score) for score in plain)
+    assert not any(explains_beside_discrepancies(problem, state, score) for score in plain)
     wave = ModelTerm("transmission_error", plain[0].candidate.law, plain[0].names)
     assert probable(problem, problem.state((*state.fit.terms, wave), state)) < 0.01
 
 
-def test_a_small_name_beside_a_larger_one_of_the_same_variables_is_in_doubt():
+def test_a_small_name_beside_a_larger_one_of_the_same_variables_is_of_unknown_state():
     def both(q, torques, approach):
         return at_joint(0, -1.5e-4 * approach[:, 0]) + at_joint(2, -5e-7 * approach[:, 2] * np.abs(torques[:, 2]))
 

@@ -16,7 +16,7 @@ from cellapp.estimation.discovery.arm_data import CandidateLaw, ModelTerm
 from cellapp.estimation.discovery.joint_fit import refit
 from cellapp.estimation.discovery.records import RunnerUp
 from cellapp.estimation.discovery.search import stepwise
-from cellapp.estimation.discovery.search.free_part import with_free_parts
+from cellapp.estimation.discovery.search.discrepancy_term import with_discrepancies
 from cellapp.estimation.discovery.search.review import review
 from cellapp.estimation.discovery.search.scan import (
     corrected_p_value,
@@ -26,7 +26,7 @@ from cellapp.estimation.discovery.search.scan import (
 )
 from cellapp.estimation.discovery.search.state import Posteriors, Review, SearchProblem, SearchResult, SearchState
 from cellapp.ground.errors import NotConverged
-from cellapp.ground.progress import CancelToken, JobSteps
+from cellapp.ground.progress import JobSteps, JobToken
 from cellapp.robot.effects import EFFECTS
 from cellapp.robot.kinematics.chain import smr_positions
 from tests.estimation.discovery.problems import PLAIN, N, arm_of, data_of, problem, refining_law
@@ -103,8 +103,8 @@ def test_laws_that_take_all_that_the_readings_hold_have_no_free_part():
         terms.append(ModelTerm(slug, law, tuple(column.name for column in data.columns(slug, law))))
     state = SearchState(*refit(data, tuple(terms)))
     assert len(state.fit.residual) - state.fit.projector.effective_parameters < 1.0
-    problem = SearchProblem(data, (), np.zeros(20), 30.0, CancelToken(), lambda words: None)
-    assert with_free_parts(problem, state) is None
+    problem = SearchProblem(data, (), np.zeros(20), 30.0, JobToken(), lambda words: None)
+    assert with_discrepancies(problem, state) is None
 
 
 def test_a_candidate_whose_fit_does_not_converge_is_dropped_and_named_and_is_no_finding(monkeypatch):
@@ -146,7 +146,7 @@ def searched(
     data = data_of(profile, q, approach, exact + rng.normal(0.0, SIGMA_M, (N_at_even_odds, 3)), SIGMA_M)
 
     def probable(found: SearchResult, scan: object) -> Posteriors:
-        out = all(max(one.alternatives.values(), default=0.0) < one.score for one in found.reviews)
+        out = all(max(one.alternative_scores.values(), default=0.0) < one.score for one in found.reviews)
         here = stated if limited is None or not out else limited
         return Posteriors(tuple(here.get(term.slug, 1.0) for term in found.fit.terms), here)
 
@@ -162,8 +162,8 @@ def test_an_improbable_name_is_dropped_and_not_found_again(monkeypatch: pytest.M
 
 
 def test_rivals_in_one_answer_set_count_together(monkeypatch: pytest.MonkeyPatch) -> None:
-    rival = RunnerUp(effect="friction_windup", statistic=50.0, distinguishable=False)
-    monkeypatch.setattr(stepwise, "review", lambda *args: replace(review(*args), rivals=(rival,)))
+    other = RunnerUp(effect="friction_windup", statistic=50.0, distinguishable=False)
+    monkeypatch.setattr(stepwise, "review", lambda *args: replace(review(*args), alternatives=(other,)))
     found = searched(monkeypatch, {"backlash": 0.4, "friction_windup": 0.3})
     assert [term.slug for term in found.fit.terms] == ["backlash"]
     found = searched(monkeypatch, {"backlash": 0.2, "friction_windup": 0.2})
@@ -178,19 +178,19 @@ def test_a_rival_in_whose_place_the_search_ends_worse_scores_less_than_the_name(
 ) -> None:
     def led(*args: Any) -> Review:
         found = review(*args)
-        rival = RunnerUp(effect="friction_windup", statistic=found.score + 20.0, distinguishable=False)
-        return replace(found, rivals=(rival,), alternatives={rival.effect: rival.statistic})
+        other = RunnerUp(effect="friction_windup", statistic=found.score + 20.0, distinguishable=False)
+        return replace(found, alternatives=(other,), alternative_scores={other.effect: other.statistic})
 
     monkeypatch.setattr(stepwise, "review", led)
     (found,) = searched(monkeypatch, {"backlash": 0.3, "friction_windup": 0.6}).reviews
-    assert found.alternatives["friction_windup"] < found.score
+    assert found.alternative_scores["friction_windup"] < found.score
     alone = searched(monkeypatch, {"backlash": 0.3, "friction_windup": 0.6}, {"backlash": 0.1, "friction_windup": 0.2})
     assert alone.improbable == {"backlash": pytest.approx(0.3)}, "its answer set was probable by that rival only"
 
 
 def test_a_name_gives_way_to_a_more_probable_rival_that_explains_as_much(monkeypatch: pytest.MonkeyPatch) -> None:
-    rival = RunnerUp(effect="friction_windup", statistic=50.0, distinguishable=False)
-    monkeypatch.setattr(stepwise, "review", lambda *args: replace(review(*args), rivals=(rival,)))
+    other = RunnerUp(effect="friction_windup", statistic=50.0, distinguishable=False)
+    monkeypatch.setattr(stepwise, "review", lambda *args: replace(review(*args), alternatives=(other,)))
     monkeypatch.setattr(stepwise, "criterion", lambda fit: 0.0)  # of every model
     found = searched(monkeypatch, {"backlash": 0.3, "friction_windup": 0.6})
     assert "backlash" not in {term.slug for term in found.fit.terms}

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.parameters import candidate_columns
 from cellapp.estimation.monitoring.belief import CheckBelief, SequentialState, arm_belief, watching
+from cellapp.estimation.monitoring.causes import Design
 from cellapp.estimation.monitoring.linear import StopRows
-from cellapp.estimation.monitoring.naming import Design
 from cellapp.estimation.monitoring.sequential import NOTHING_YET, choose_stops, design_of, judged
 from cellapp.estimation.prior.belief import Measured, Prior, posterior
 from cellapp.estimation.readings import Readings

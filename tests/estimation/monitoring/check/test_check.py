@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.stats import binom, chi2, kstest
 
 from cellapp.estimation.monitoring.belief import CheckBelief, arm_belief, check_belief
+from cellapp.estimation.monitoring.causes import Design, MinPValueTest, after, log_valid
 from cellapp.estimation.monitoring.linear import Moments, StopRows, directions_of, stop_rows
-from cellapp.estimation.monitoring.naming import Design, MinPValueTest, after, log_valid
 from cellapp.estimation.monitoring.records import CheckResult
 from cellapp.estimation.monitoring.sequential import SequentialTest
 from cellapp.estimation.prior.belief import Measured, Prior, posterior
@@ -210,7 +210,7 @@ def test_motions_that_do_not_converge_are_an_error_and_no_verdict(
     pair: SimulatedCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     changed = moved_base(pair.true["right"], [0.3, -0.2, 0.1], [1.0, -0.5, 0.5])
-    monkeypatch.setattr("cellapp.estimation.monitoring.naming._STEPS", 0)
+    monkeypatch.setattr("cellapp.estimation.monitoring.causes._STEPS", 0)
     with pytest.raises(NotConverged, match="fit of a motion to the stops did not converge: 0 steps were not enough"):
         checked(pair, {"right": changed})
 
@@ -323,7 +323,7 @@ def test_drift_of_the_day_hides_as_large_a_motion_of_the_base(pair: SimulatedCel
 
 
 PLANNED_OF_STATISTICS = 12
-DRAWS = 200
+SAMPLES = 200
 COUNTS = range(1, PLANNED_OF_STATISTICS + 1)
 
 
@@ -366,7 +366,7 @@ def test_p_values_without_a_change_are_uniform(checked_of_statistics: tuple[Desi
 @pytest.mark.slow
 def test_whole_check_keeps_its_false_alarms(checked_of_statistics: tuple[Design, StopRows]) -> None:
     design, stops = checked_of_statistics
-    count = DRAWS // 2
+    count = SAMPLES // 2
     noise = np.random.default_rng(4).standard_normal((count, len(stops.factor))) @ stops.factor.T
     loose = replace(design, false_alarm=0.1)
     found = [decided_prefix(loose, replace(stops, measured=stops.expected + row.reshape(-1, 3))) for row in noise]
@@ -389,13 +389,13 @@ def test_looking_after_every_stop_keeps_what_is_stated(checked_of_statistics: tu
         looks = zip(tests, parts(moments), strict=True)
         return any(test.bound(test.least(one)) * len(COUNTS) <= limit for test, one in looks)
 
-    assert sum(map(alarms, drawn(whole, DRAWS))) <= at_most(DRAWS, limit)
+    assert sum(map(alarms, drawn(whole, SAMPLES))) <= at_most(SAMPLES, limit)
     weakest = int(np.argmin(np.where(design.visible, whole.information, np.inf)))
     missed = sum(
         any(log_valid(one, design.alternatives, design.visible) >= -np.log(limit) for one in parts(moments))
-        for moments in drawn(whole, DRAWS, weakest)
+        for moments in drawn(whole, SAMPLES, weakest)
     )
-    assert missed <= at_most(DRAWS, limit)
+    assert missed <= at_most(SAMPLES, limit)
 
 
 def test_chosen_stops_show_the_weakest_change_better_than_random_ones(pair: SimulatedCell) -> None:

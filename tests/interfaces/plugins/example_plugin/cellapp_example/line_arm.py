@@ -21,7 +21,7 @@ from drivers.arms.protocol import (
     ArmIdentity,
     ArmState,
     ArmTimeout,
-    DoubtListener,
+    FaultListener,
     JointLimits,
     LimitExceeded,
     LinkLost,
@@ -32,7 +32,7 @@ from drivers.arms.protocol import (
 from drivers.arms.settings import ArmContext
 
 SILENCE_S = 0.3
-"""The protocol of arms asks for a doubt after this time without a state."""
+"""The protocol of arms asks for a fault after this time without a state."""
 REACTION_S = 0.1
 """After this time the controller acts on a command, and its states show it."""
 STOP_S = 5.0
@@ -46,13 +46,13 @@ class LineArm:
 
     def __init__(self, arm: ArmContext, host: str, port: int) -> None:
         self._arm, self._address = arm, (host, port)
-        self._listener: DoubtListener = lambda error: None
+        self._listener: FaultListener = lambda error: None
         self._changed = threading.Condition()
         self._socket: socket.socket | None = None
         self._state: ArmState | None = None
         self._heard_s = -math.inf
         self._commanded_s = -math.inf
-        self._doubt: ArmError | None = None
+        self._fault: ArmError | None = None
         self._goal = np.zeros(arm.joints)
         self._refusals = self._released = 0
 
@@ -70,10 +70,10 @@ class LineArm:
         except OSError as error:
             raise LinkLost(f"arm {self.name}: {error}; check power, cable and address") from error
         with self._changed:
-            self._socket, self._state, self._doubt, self._commanded_s = link, None, None, -math.inf
+            self._socket, self._state, self._fault, self._commanded_s = link, None, None, -math.inf
         threading.Thread(target=self._read, args=(link,), name=f"arm {self.name}", daemon=True).start()
         with self._changed:
-            self._changed.wait_for(lambda: self._state is not None or self._doubt is not None)
+            self._changed.wait_for(lambda: self._state is not None or self._fault is not None)
         self._released = refusals  # one that came meanwhile stays in force
         try:
             self.state()
@@ -92,7 +92,7 @@ class LineArm:
             link.close()
 
     def _read(self, link: socket.socket) -> None:
-        """Keep the newest state; push a doubt as soon as there is none, so that the other arms brake at once."""
+        """Keep the newest state; push a fault as soon as there is none, so that the other arms brake at once."""
         try:
             for line in link.makefile(encoding="ascii"):
                 _, time_s, moving, *q = line.split()
@@ -108,19 +108,19 @@ class LineArm:
         with self._changed:
             if self._socket is not link:  # disconnected on purpose
                 return
-            self._doubt = LinkLost(f"arm {self.name}: {reason}; look at the arm, it may still move")
+            self._fault = LinkLost(f"arm {self.name}: {reason}; look at the arm, it may still move")
             self._changed.notify_all()
-        self._listener(self._doubt)
+        self._listener(self._fault)
 
-    def watch(self, listener: DoubtListener) -> None:
-        """Report the first doubt after each ``connect`` to ``listener``."""
+    def watch(self, listener: FaultListener) -> None:
+        """Report the first fault after each ``connect`` to ``listener``."""
         self._listener = listener
 
     def state(self) -> ArmState:
         """The newest state, at most ``SILENCE_S`` old. Raises ``LinkLost``."""
         with self._changed:
-            if self._doubt is not None:
-                raise self._doubt
+            if self._fault is not None:
+                raise self._fault
             if self._state is None or self._socket is None:
                 raise LinkLost(f"arm {self.name}: not connected")
             return replace(self._state, moving=self._moves(self._state))
@@ -140,7 +140,7 @@ class LineArm:
         """Wait for a state that comes after this call. Raises ``LinkLost``."""
         with self._changed:
             before = self._state
-            self._changed.wait_for(lambda: self._state is not before or self._doubt is not None, SILENCE_S)
+            self._changed.wait_for(lambda: self._state is not before or self._fault is not None, SILENCE_S)
             self.state()
             if self._state is before:
                 raise LinkLost(f"arm {self.name}: no state for {SILENCE_S} s; look at the arm, it may still move")

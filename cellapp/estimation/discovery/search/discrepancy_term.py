@@ -1,19 +1,19 @@
-"""Free parts of laws: the residual of a nearly right law stays with its effect.
+"""Discrepancy terms of laws: the residual of a nearly right law stays with its effect.
 
-The residual of a nearly right law often looks like a second effect. Each library effect may therefore have a free part
-(``robot.effects.modulation``), small by prior: with fitted values v of a block's columns,
+The residual of a nearly right law often looks like a second effect. Each library effect may therefore have a
+discrepancy term (``robot.effects.modulation``), small by prior: with fitted values v of a block's columns,
 
     coefficient of the function f_k of a driver ~ N(0, (share |v| w_k)^2),   w_k proportional to k^-2,
 
 scaled so that the modulation g has an rms of ``share``. Standard deviations that fall with k^-2 are the prior of a
 function with a finite mean square of its second derivative (the spline prior: Wahba, Spline Models for Observational
 Data, 1990), so smooth errors of a law are preferred. ``share`` maximises the evidence (marginal likelihood) of the
-residual in the complement of the other parameters. With M the projector there, Z the rows of the free part scaled by
-their standard deviations, noise variance s and f degrees of freedom,
+residual in the complement of the other parameters. With M the projector there, Z the rows of the discrepancy term
+scaled by their standard deviations, noise variance s and f degrees of freedom,
 
     2 ln evidence = -f ln s - ln det(I + Z M Z^T / s) - (y^T M y - y^T M Z^T (s I + Z M Z^T)^-1 Z M y) / s.
 
-In the scan for second names all free parts, kept or not, count as nuisance parameters at a cautious share.
+In the scan for second names all discrepancy terms, kept or not, count as nuisance parameters at a cautious share.
 """
 
 from __future__ import annotations
@@ -39,21 +39,21 @@ from cellapp.robot.effects.unknown import acted_directions
 from cellapp.robot.kinematics.transforms import Array
 
 SHARES = (0.03, 0.1, 0.3)
-"""Shares of a law that its free part may have: a factor of 3 apart, as the evidence has a broad maximum. A larger error
-of a law belongs to another effect."""
+"""Shares of a law that its discrepancy term may have: a factor of 3 apart, as the evidence has a broad maximum. A
+larger error of a law belongs to another effect."""
 CAUTIOUS_SHARE = 0.1
 """Share of every law that counts as uncertain in the search for second names: laws hold to some 10 %."""
 LEAST_EVIDENCE = SCORE_MARGIN / 2.0
-"""Gain of 2 ln evidence at which a free part is kept: positive to strong evidence, less than a name needs."""
+"""Gain of 2 ln evidence at which a discrepancy term is kept: positive to strong evidence, less than a name needs."""
 _MOST_COLUMNS = 160
-"""Most columns of one term's free part: with more, as with many lines, only the lower orders are taken."""
+"""Most columns of one term's discrepancy term: with more, as with many lines, only the lower orders are taken."""
 _NOISE_SHARES = np.geomspace(0.02, 1.0, 40)
 """Shares of the residual's variance that may be noise, in steps of 10 %."""
 
 
 @dataclass(frozen=True, eq=False)
-class FreePart:
-    """Possible columns of a term's free part for one driver.
+class DiscrepancyTerm:
+    """Possible columns of a term's discrepancy term for one driver.
 
     ``rows`` (m, 3 n) are their whitened displacements, ``sd`` (m,) their prior standard deviations at a share of one.
     """
@@ -63,8 +63,8 @@ class FreePart:
     sd: Array
 
 
-def possible_free_parts(data: ArmData, fit: JointFit, number: int) -> list[FreePart]:
-    """Return the possible free part of a term for each driver of its effect; none for terms without a law."""
+def possible_discrepancies(data: ArmData, fit: JointFit, number: int) -> list[DiscrepancyTerm]:
+    """Return the possible discrepancy term of a term for each driver of its effect; none for terms without a law."""
     term = fit.terms[number]
     effect = term.effect
     if effect is None:
@@ -77,14 +77,14 @@ def possible_free_parts(data: ArmData, fit: JointFit, number: int) -> list[FreeP
     for driver in effect.discrepancy_inputs:
         ones = _lowest_orders(modulations(driver, columns, data.context))
         if ones:
-            found.append(_free_part(data, fit, columns, ones, sizes))
+            found.append(_discrepancy_term(data, fit, columns, ones, sizes))
     return found
 
 
 def _sizes(fit: JointFit, number: int) -> dict[str, float]:
     """Return the size of each column of a term: rms value over its block's columns of the same unit, in that unit.
 
-    The variance of the estimate is subtracted: an undetermined value gives no free part.
+    The variance of the estimate is subtracted: an undetermined value gives no discrepancy term.
     """
     columns = fit.term_columns(number)
     errors = fit.identification.standard_errors[fit.layout.parameters(number)].tolist()
@@ -104,14 +104,14 @@ def _lowest_orders(ones: tuple[Modulation, ...]) -> tuple[Modulation, ...]:
     return tuple(one for one in ones if one.order == 1)[:_MOST_COLUMNS]
 
 
-def _free_part(
+def _discrepancy_term(
     data: ArmData, fit: JointFit, columns: Sequence[EffectColumn], ones: tuple[Modulation, ...], sizes: dict[str, float]
-) -> FreePart:
+) -> DiscrepancyTerm:
     by_name = {column.name: column for column in columns}
     rows = fit.displacements([one.column(by_name[one.base], data.context) for one in ones])
     variables = {one.base: len({other.driver for other in ones if other.base == one.base}) for one in ones}
     weights = np.array([_weight(one) / math.sqrt(variables[one.base]) for one in ones])
-    return FreePart(ones, rows, weights * np.array([sizes[one.base] for one in ones]))
+    return DiscrepancyTerm(ones, rows, weights * np.array([sizes[one.base] for one in ones]))
 
 
 def _weight(one: Modulation) -> float:
@@ -154,12 +154,12 @@ class FreePartEvidence:
         return float(evidence.max()) - without
 
 
-def with_free_parts(problem: SearchProblem, state: SearchState) -> SearchState | None:
-    """Add the free part of each effect's law if its evidence gains; None if none does.
+def with_discrepancies(problem: SearchProblem, state: SearchState) -> SearchState | None:
+    """Add the discrepancy term of each effect's law if its evidence gains; None if none does.
 
-    Free parts that the laws already have are replaced.
+    Discrepancy terms that the laws already have are replaced.
     """
-    terms = without_free_parts(state.fit.terms)
+    terms = without_discrepancies(state.fit.terms)
     had = any(term.modulations for term in state.fit.terms)
     if all(term.effect is None for term in terms):
         return None
@@ -170,14 +170,14 @@ def with_free_parts(problem: SearchProblem, state: SearchState) -> SearchState |
     return problem.state(found, state)
 
 
-def without_free_parts(terms: ModelTerms) -> ModelTerms:
-    """Return the terms without their free parts."""
+def without_discrepancies(terms: ModelTerms) -> ModelTerms:
+    """Return the terms without their discrepancy terms."""
     return tuple(replace(term, modulations=(), modulation_sd=()) for term in terms)
 
 
 def may_stand_for_confounded(state: SearchState, step: SearchStep) -> bool:
-    """Return whether the free part of a confounded effect in the model explains about as much as the new name of a
-    step.
+    """Return whether the discrepancy term of a confounded effect in the model explains about as much as the new name of
+    a step.
 
     The residual of a law looks most like what it is confounded with.
     """
@@ -185,7 +185,7 @@ def may_stand_for_confounded(state: SearchState, step: SearchStep) -> bool:
     if step.slug in state.slugs:
         return False
     of_confounded = (
-        possible_free_parts(state.data, fit, number)
+        possible_discrepancies(state.data, fit, number)
         for number, term in enumerate(fit.terms)
         if term.effect is not None and not term.modulations and are_confounded(step.slug, term.effect.slug)
     )
@@ -199,12 +199,12 @@ def are_confounded(first: str, second: str) -> bool:
 
 
 def _free_terms(state: SearchState) -> tuple[ModelTerm, ...]:
-    """Return the terms with the free parts that gain evidence; those of the largest effects are chosen first."""
+    """Return the terms with the discrepancy terms that gain evidence; those of the largest effects are chosen first."""
     fit, terms = state.fit, state.fit.terms
     nuisance, precision, projector = fit.rows, fit.precision, fit.projector
     order = sorted(range(len(terms)), key=lambda number: -float(np.sum(fit.signal(number) ** 2)))
     for number in order:
-        parts = possible_free_parts(state.data, fit, number)
+        parts = possible_discrepancies(state.data, fit, number)
         chosen, _ = _best_shares(fit, projector, parts)
         if not chosen:
             continue
@@ -222,9 +222,10 @@ def _free_terms(state: SearchState) -> tuple[ModelTerm, ...]:
 
 
 def _best_shares(
-    fit: JointFit, projector: NuisanceProjector, parts: Sequence[FreePart]
-) -> tuple[list[tuple[FreePart, float]], float]:
-    """Choose drivers of a free part and their shares beside other parameters; return also the gain of 2 ln evidence.
+    fit: JointFit, projector: NuisanceProjector, parts: Sequence[DiscrepancyTerm]
+) -> tuple[list[tuple[DiscrepancyTerm, float]], float]:
+    """Choose drivers of a discrepancy term and their shares beside other parameters; return also the gain of 2 ln
+    evidence.
 
     The best driver joins while the evidence gains enough.
     """
@@ -250,7 +251,7 @@ def _best_shares(
     return [(parts[place], share) for place, share in sorted(chosen.items())], best
 
 
-def _scaled(parts: Sequence[FreePart], shares: dict[int, float]) -> Array:
+def _scaled(parts: Sequence[DiscrepancyTerm], shares: dict[int, float]) -> Array:
     """Return the standard deviations of all columns of some parts, zero for parts that are not chosen."""
     return np.concatenate([shares.get(place, 0.0) * part.sd for place, part in enumerate(parts)])
 
@@ -268,10 +269,10 @@ def _evidence_of(fit: JointFit, projector: NuisanceProjector, rows: Array) -> Fr
 # -- names beside laws that may be off -------------------------------------------------------------------------------
 
 
-def gain_beside_free_parts(state: SearchState) -> Callable[[LawScore], float] | None:
+def gain_beside_discrepancies(state: SearchState) -> Callable[[LawScore], float] | None:
     """Return a function for the BIC gain of a new law beside the model and its possible law errors; None without any.
 
-    Laws have free parts at the cautious share. A field over the workspace has all its waves; there the price of
+    Laws have discrepancy terms at the cautious share. A field over the workspace has all its waves; there the price of
     choosing the new law counts too, as many of the laws tried depend on the position.
     """
     fit = state.fit
@@ -280,7 +281,7 @@ def gain_beside_free_parts(state: SearchState) -> Callable[[LawScore], float] | 
         return lambda score: beside.gain(score.rows) - fit.projected_residual.bic_gain(score.rows) + score.value
     rows, precision = [], []
     for number in range(len(fit.terms)):
-        parts = possible_free_parts(state.data, fit, number)
+        parts = possible_discrepancies(state.data, fit, number)
         share = CAUTIOUS_SHARE / math.sqrt(max(len(parts), 1))
         rows += [part.rows for part in parts]
         precision += [1.0 / (share * part.sd) ** 2 for part in parts]
@@ -291,9 +292,9 @@ def gain_beside_free_parts(state: SearchState) -> Callable[[LawScore], float] | 
     return lambda score: behind.bic_gain(score.rows)
 
 
-def explains_beside_free_parts(problem: SearchProblem, state: SearchState, score: LawScore) -> bool:
+def explains_beside_discrepancies(problem: SearchProblem, state: SearchState, score: LawScore) -> bool:
     """Return whether a new law passes the threshold even if the laws in the model are slightly off."""
-    gain = gain_beside_free_parts(state)
+    gain = gain_beside_discrepancies(state)
     return gain is None or gain(score) > problem.threshold
 
 
@@ -356,7 +357,7 @@ class BesideField:
 
     def gain(self, rows: Array) -> float:
         """Return the gain of the BIC by new rows (m, 3 n) beside model and field, all counted as parameters."""
-        return self._left.bic_gain(self._whitened(rows))
+        return self._projected.bic_gain(self._whitened(rows))
 
     def gain_of(self, number: int) -> float:
         """Return the gain of the score by a term other than the field: by its law, or by evidence if it is smooth."""
@@ -370,7 +371,7 @@ class BesideField:
         return self._behind(number, target).bic_gain(self._whitened(rows))
 
     @cached_property
-    def _left(self) -> ProjectedResidual:
+    def _projected(self) -> ProjectedResidual:
         """The residual in the complement of the whole model, cached as many columns are tried beside it."""
         return self._behind(None, self.fit.target)
 
@@ -422,11 +423,11 @@ class BesideField:
         both = np.concatenate([rows[~smooth], self.fit.target[None]])
         white = scipy.linalg.solve_triangular(factor, both.T, lower=True, check_finite=False).T
         gram = white[:-1] @ white[:-1].T
-        left = NuisanceProjector.of(white[:-1], precision[~smooth], gram).project(white[-1])
+        projected = NuisanceProjector.of(white[:-1], precision[~smooth], gram).project(white[-1])
         scale = np.linalg.norm(rows[~smooth], axis=1)
         gram = (gram + np.diag(precision[~smooth])) / scale / scale[:, None]
         log_determinant = 2.0 * float(np.log(factor.diagonal()).sum()) + float(np.linalg.slogdet(gram)[1])
-        return -0.5 * (log_determinant + float(white[-1] @ left))
+        return -0.5 * (log_determinant + float(white[-1] @ projected))
 
     def _best(self, start: Array, without: int | None) -> Array:
         """Maximise the evidence near ``start``; return the logarithms of amplitude, length scale and noise."""

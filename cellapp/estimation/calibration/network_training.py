@@ -695,8 +695,8 @@ class _Trainer:
     def _loss(self) -> Tensor:
         """Sum the mean squared errors of one batch for each member; the members do not affect one another."""
         torch = self._torch
-        drawn = torch.rand((len(self.rows), _BATCH), generator=self._random, device=self._x.device)
-        rows = self._others.gather(1, (drawn * self._counts).long())
+        sampled = torch.rand((len(self.rows), _BATCH), generator=self._random, device=self._x.device)
+        rows = self._others.gather(1, (sampled * self._counts).long())
         errors = _outputs(torch, self._layers, self._x[rows]) - self._y[self._each, rows]
         return errors.square().mean(dim=(1, 2)).sum()
 

@@ -16,7 +16,7 @@ from cellapp.estimation.discovery.arm_data import whitening
 from cellapp.estimation.discovery.records import BeforeAfter, Evidence
 from cellapp.estimation.motion.fit import Fittings, Solution
 from cellapp.estimation.motion.laws import JointState, JointTerm, Law
-from cellapp.estimation.motion.observe import residuals
+from cellapp.estimation.motion.residuals import residuals
 from cellapp.estimation.motion.tracks import Track
 from cellapp.robot.effects import EFFECTS, EffectTerm, MotionLaw
 from cellapp.robot.effects.backlash import BELL, LOAD_BELL, LOAD_REACH, REACH
@@ -104,7 +104,7 @@ class MotionEffect:
 @dataclass(frozen=True)
 class Step:
     """A step of the search: its terms, chi-square, log probability of as large a value by chance, and held-out errors
-    before and after; ``rival`` is the log probability of the best confounded law."""
+    before and after; ``other_log_p`` is the log probability of the best confounded law."""
 
     law: Law | MotionLaw
     terms: tuple[JointTerm, ...]
@@ -112,7 +112,7 @@ class Step:
     log_p: float
     before_mm: float
     after_mm: float
-    rival: float = math.inf
+    other_log_p: float = math.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -316,7 +316,7 @@ def beside_others(state: State, step: Step) -> Step:
     parameters = len(tested(step.terms))
     statistic = statistic_of(state, step.terms)
     more = log_chance(statistic, parameters, 1) - log_chance(step.statistic, parameters, 1)
-    return replace(step, statistic=statistic, log_p=min(step.log_p + more, 0.0), rival=step.rival + more)
+    return replace(step, statistic=statistic, log_p=min(step.log_p + more, 0.0), other_log_p=step.other_log_p + more)
 
 
 def is_improbable(state: State, step: Step) -> bool:
@@ -330,7 +330,7 @@ def _odds(steps: Sequence[Step], law: Law | MotionLaw) -> float:
     if law not in CONFOUNDED or all(has(steps, one) for one in CONFOUNDED):
         return 1.0
     first = next(step for step in steps if step.law is law)
-    return float(scipy.special.expit(first.rival - first.log_p))
+    return float(scipy.special.expit(first.other_log_p - first.log_p))
 
 
 def _probability(state: State, statistic: float, parameters: int, log_p: float) -> float:

@@ -108,7 +108,7 @@ def remaining_work(run: RunFile, *, resume: bool) -> Work:
         )
     total = len(route)
     readings = [run.readings(name) for name in run.arms()]
-    drawn = any(arm.split is not None for arm in readings)
+    sampled = any(arm.split is not None for arm in readings)
     reserves = run.profile.plan.reserves(total)
     return Work(
         route=route,
@@ -116,7 +116,7 @@ def remaining_work(run: RunFile, *, resume: bool) -> Work:
         reserves=tuple(stop for stop in reserves if stop not in done),
         stored=len(done),
         proposed=frozenset(np.flatnonzero(route.proposed).tolist()),
-        split="train" if drawn else None,
+        split="train" if sampled else None,
         earlier_s=max((float(arm.time_s.max()) for arm in readings), default=0.0) if done else 0.0,
     )
 

@@ -153,7 +153,6 @@ def _show(job: CommandJob, verb: Verb, shown: View, result: Result) -> None:
 
 def _work(job: CommandJob, announce: Callable[[Result], None], *, allowed: bool) -> Work:
     return Work(
-        job.listen,
         job.control,
         lambda profile_name: asking(job, profile_name, allowed=allowed),
         job.outputs,

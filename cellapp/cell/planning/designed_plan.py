@@ -24,11 +24,11 @@ from numpy.typing import NDArray
 from cellapp.cell.planning.candidates import (
     COMBINED,
     CandidatePool,
-    draw_pool,
     random_configurations,
+    sample_pool,
     workspace_configurations,
 )
-from cellapp.cell.planning.information import InformationModel, drawn_conditions, even_conditions, information_model
+from cellapp.cell.planning.information import InformationModel, even_conditions, information_model, sampled_conditions
 from cellapp.cell.planning.planned_stops import PlannedStops, joined_after
 from cellapp.cell.planning.records import ArmDesign, ErrorName, ObservabilityIndices, PlanQuality
 from cellapp.cell.planning.sequence import nearest_turns, sequenced
@@ -53,7 +53,7 @@ from cellapp.estimation.design.block_design import (
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken, JobSteps, Listener, Progress, ignore
+from cellapp.ground.progress import UNATTENDED, JobSteps, JobToken
 from cellapp.ground.threads import one_blas_thread
 from cellapp.robot.kinematics.transforms import Array
 
@@ -82,11 +82,7 @@ class DesignedStops:
 
 
 def design_stops(
-    profile: Profile,
-    count: int,
-    listener: Listener = ignore,
-    cancel: CancelToken | None = None,
-    kept: PlannedStops | None = None,
+    profile: Profile, count: int, job: JobToken = UNATTENDED, kept: PlannedStops | None = None
 ) -> DesignedStops:
     """Design ``count`` informative stops in a safe order, after those that are ``kept``.
 
@@ -95,7 +91,7 @@ def design_stops(
     profile : Profile
     count : int
         Number of further stops, reserves included.
-    listener, cancel
+    job
         Progress and cancelling.
     kept : PlannedStops, optional
         Stops that are in the plan already: their information counts before the first choice.
@@ -106,7 +102,6 @@ def design_stops(
         If an arm has no candidates, or none of them can be reached.
     Cancelled
     """
-    cancel = cancel or CancelToken()
     cell = cell_bodies(profile)
     # the gate samples motions: a configuration at the very limit could not be reached
     roomy = replace(cell, clearance=cell.clearance + 0.5 * sample_spacing(cell))
@@ -114,13 +109,13 @@ def design_stops(
     rng = np.random.default_rng([profile.seed, _SEED, before])
     finder, pools = TransitPlanner(profile, cell, rng), {}
     for number, name in enumerate(cell.arms):
-        listener(Progress("candidates", number, len(cell.arms), f"arm {name}"))
-        pools[name] = _pool(profile, roomy, finder.roadmaps[name], name, count, rng, cancel)
-    listener(Progress("candidates", len(cell.arms), len(cell.arms), "done"))
+        job.tell("candidates", number, len(cell.arms), f"arm {name}")
+        pools[name] = _pool(profile, roomy, finder.roadmaps[name], name, count, rng, job)
+    job.tell("candidates", len(cell.arms), len(cell.arms), "done")
     spares = max(_LEAST_SPARES, math.ceil(_SPARE_SHARE * count))  # for stops that cannot be reached from the others
-    rows = select_stops(profile, pools, count + spares, rng, listener, cancel, None if kept is None else kept.q)
+    rows = select_stops(profile, pools, count + spares, rng, job, None if kept is None else kept.q)
     chosen = {name: pool.q[rows[name]] for name, pool in pools.items()}
-    return DesignedStops(*_in_order(profile, cell, chosen, count, kept, finder, rng, listener, cancel), pools, finder)
+    return DesignedStops(*_in_order(profile, cell, chosen, count, kept, finder, rng, job), pools, finder)
 
 
 def _in_order(
@@ -131,8 +126,7 @@ def _in_order(
     kept: PlannedStops | None,
     finder: TransitPlanner,
     rng: np.random.Generator,
-    listener: Listener,
-    cancel: CancelToken,
+    job: JobToken,
 ) -> tuple[PlannedStops, tuple[str, ...]]:
     """Return the kept stops and ``count`` more, beginning with the first ``chosen``, and why others were given up.
 
@@ -150,7 +144,7 @@ def _in_order(
         first += missing
         if missing and all(len(q) for q in part.values()):
             here = None if stops is None or not len(stops) else stops.q
-            more = sequenced(profile.model_copy(update={"plan": plan}), cell, part, rng, listener, cancel, here, finder)
+            more = sequenced(profile.model_copy(update={"plan": plan}), cell, part, rng, job, here, finder)
             given_up += more.given_up
             stops = more.stops if stops is None or not len(stops) else joined_after(stops, more.stops)
     reached = 0 if stops is None else len(stops)
@@ -170,12 +164,12 @@ def _pool(
     name: str,
     count: int,
     rng: np.random.Generator,
-    cancel: CancelToken,
+    job: JobToken,
 ) -> CandidatePool:
     """Draw candidates of an arm and keep those within reach: the most informative ones lie at the ends of the joints'
     ranges, some of them in pockets (folded, behind an obstacle, the wrong way round). All are kept if these are too few
     for ``count`` stops; only the first ones are checked if hardly any of them is hard to reach."""
-    pool = draw_pool(cell, profile, name, max(profile.plan.pool_size, count), rng, cancel)
+    pool = sample_pool(cell, profile, name, max(profile.plan.pool_size, count), rng, job)
     q = nearest_turns(profile, cell, name, pool.q)
     reached = np.ones(len(q), dtype=np.bool_)
     reached[:_SAMPLE] = roadmap.reaches(q[:_SAMPLE])
@@ -184,7 +178,7 @@ def _pool(
     if int(reached.sum()) < _LEAST_CHOICE * count:
         return replace(pool, q=q)
     rejected = {**pool.rejected, "hard to reach": int(np.sum(~reached))}
-    return CandidatePool(q[reached], pool.incidence[reached], pool.drawn, rejected)
+    return CandidatePool(q[reached], pool.incidence[reached], pool.sampled, rejected)
 
 
 # -- Work done for each arm separately, in worker threads; the random numbers do not depend on the threads ------------
@@ -222,8 +216,7 @@ def select_stops(
     pools: Mapping[str, CandidatePool],
     count: int,
     rng: np.random.Generator,
-    listener: Listener = ignore,
-    cancel: CancelToken | None = None,
+    job: JobToken = UNATTENDED,
     kept: Mapping[str, Array] | None = None,
 ) -> dict[str, Rows]:
     """Choose ``count`` candidates of each arm, fewer where its pool has fewer; the most informative first.
@@ -238,7 +231,6 @@ def select_stops(
         If the profile lists an effect that no plan of this cell can show, or does not describe the cell.
     Cancelled
     """
-    cancel = cancel or CancelToken()
     q = {name: pool.q for name, pool in pools.items()}
 
     done, total = dict.fromkeys(pools, 0), 2 * count * len(pools)
@@ -246,15 +238,15 @@ def select_stops(
 
     def tell(name: str, number: int, words: str = "") -> None:
         done[name] = number
-        listener(Progress("select", min(sum(done.values()), total), total, arms))
+        job.tell("select", min(sum(done.values()), total), total, arms)
 
     def choose(name: str, own_rng: np.random.Generator) -> Rows:
         own = None if kept is None else kept.get(name)
-        return _select(profile, name, q, count, own, own_rng, JobSteps(partial(tell, name), cancel))
+        return _select(profile, name, q, count, own, own_rng, JobSteps(partial(tell, name), job))
 
     tell(next(iter(pools)), 0)
     chosen = of_each_arm(choose, pools, rng)
-    listener(Progress("select", total, total, "done"))
+    job.tell("select", total, total, "done")
     return chosen
 
 
@@ -295,7 +287,7 @@ _LARGER = (1.0, 1.25, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0)
 """Sizes of the random plans, relative to the judged plan; the equivalent size is interpolated among them."""
 _MOST_RANDOM = 12_000
 """Upper limit of the configurations in all random plans: bounds time and memory for plans of thousands of stops."""
-_DRAWS = 4
+_SAMPLES = 4
 """Number of random plans of a size that are averaged: the worst point differs by 10 % from plan to plan. Fewer of large
 plans, which differ less: as many as could be drawn apart from each other."""
 _PARTS = (25, 50, 100, 200, 400, 800, 1600, 3200)
@@ -343,22 +335,22 @@ class DesignJudge:
         others: Mapping[str, Array],
         stops: int,
         rng: np.random.Generator,
-        cancel: CancelToken,
+        job: JobToken,
     ) -> DesignJudge:
         """Set up for plans of ``stops`` stops of an arm; ``others`` are configurations of the other arms."""
         cell = cell_bodies(profile)
         number = min(math.ceil(_LARGER[-1] * stops), max(_MOST_RANDOM, stops))
         drawn = []
         for q in islice(random_configurations(cell, profile, name, rng, COMBINED), number):
-            cancel.check()
+            job.check()
             drawn.append(q)
         q = np.array(drawn)
-        conditions = drawn_conditions(profile, name, q, others, rng)
+        conditions = sampled_conditions(profile, name, q, others, rng)
         model = information_model(profile, name, q, conditions, potential=False)
         targets = workspace_configurations(profile, cell, name, _QUALITY_POINTS, rng)
         return cls(
             model,
-            model.prediction_rows(targets, drawn_conditions(profile, name, targets, others, rng)),
+            model.prediction_rows(targets, sampled_conditions(profile, name, targets, others, rng)),
             model.rows(q, conditions),
             others,
             rng,
@@ -375,7 +367,7 @@ class DesignJudge:
 
     def rows(self, q: Array) -> Array:
         """Compute whitened rows (n, 3, p) of stops ``q`` (n, N) [rad] under drawn conditions."""
-        return self.model.rows(q, drawn_conditions(self.model.profile, self.model.name, q, self.others, self.rng))
+        return self.model.rows(q, sampled_conditions(self.model.profile, self.model.name, q, self.others, self.rng))
 
     def errors(self, information: Array) -> Errors:
         """Compute the errors from the information matrix (p, p) of readings."""
@@ -389,7 +381,7 @@ class DesignJudge:
         p = self.random.shape[2]
         found = {size: list[Errors]() for size in sizes}
         total = {size: np.zeros((p, p)) for size in sizes}
-        for draw in range(_DRAWS):
+        for draw in range(_SAMPLES):
             order = self.rng.permutation(len(self.random))
             information, before = np.zeros((p, p)), 0
             for size in sorted(size for size in sizes if not draw or size * (draw + 1) <= len(order)):
@@ -453,7 +445,7 @@ def arm_design(
     name: str,
     stops: Mapping[str, Array],
     rng: np.random.Generator,
-    cancel: CancelToken | None = None,
+    job: JobToken = UNATTENDED,
 ) -> ArmDesign:
     """Evaluate the stops of one arm against random ones.
 
@@ -467,7 +459,7 @@ def arm_design(
     stops : mapping
         Arm -> joint positions (n, N) [rad] in the order of the plan, of all arms.
     rng : numpy.random.Generator
-    cancel : CancelToken, optional
+    job : JobToken
 
     Raises
     ------
@@ -479,7 +471,7 @@ def arm_design(
     n = len(q)
     others = {other: theirs for other, theirs in stops.items() if other != name}
     with one_blas_thread():
-        judge = DesignJudge.of(profile, name, others, n, rng, cancel or CancelToken())
+        judge = DesignJudge.of(profile, name, others, n, rng, job)
         rows = judge.rows(q)
         parts = [*(part for part in _PARTS if part < n), n]
         random = judge.random_plans(sorted({*parts, *judge.sizes(n)}))
@@ -493,7 +485,7 @@ def arm_design(
     equal, of_random = random[n]
     return ArmDesign(
         candidates=len(pool.q),
-        drawn=pool.drawn,
+        drawn=pool.sampled,
         rejected=pool.rejected,
         designed=by_stops[-1],
         random=_quality(n, equal, equal, observability(of_random, geometry, n)),

@@ -1,4 +1,4 @@
-"""Name what changed: the alternative that explains the stops best, its rivals, and further changes.
+"""Name what changed: the alternative that explains the stops best, those confounded with it, and further changes.
 
 A least-squares fit of an alternative lowers chi-squared; its gain is half of that minus (r / 2) log d for r parameters
 and d coordinates (Schwarz, Ann. Stat. 6 (1978) 461). The best alternative is accepted and its parameters are unknown
@@ -38,7 +38,7 @@ from cellapp.robot.kinematics.transforms import Array, apply, invert, register, 
 SPENT_EARLY = 0.2
 """Share of the false alarms, and of the misses, that is spent before the last stop. The bounds after every stop are
 loose; the share that they take costs the last test little power."""
-_DRAWS = 8000
+_SAMPLES = 8000
 """Number of simulated checks without a change: the 1 % quantile is known to a tenth of itself."""
 _TAIL = 0.02
 """Share of the simulated checks with the smallest p-values, below which the distribution is extrapolated."""
@@ -101,13 +101,13 @@ class MinPValueTest:
     def _null(self) -> Array:
         """Least p-values of simulated checks without a change, ascending."""
         generator = np.random.default_rng(0xC4EC)
-        white = generator.standard_normal((self.fitted.shape[1], _DRAWS))
+        white = generator.standard_normal((self.fitted.shape[1], _SAMPLES))
         white -= self.fitted.T @ (self.fitted @ white)
         ranks = {len(basis) for basis in self.bases}
         least = _p(np.sum(white**2, axis=0), self._degrees)
         for rank in ranks:
             some = np.concatenate([basis for basis in self.bases if len(basis) == rank])
-            squares = ((some @ white) ** 2).reshape(-1, rank, _DRAWS).sum(axis=1) if rank else np.zeros((1, _DRAWS))
+            squares = ((some @ white) ** 2).reshape(-1, rank, _SAMPLES).sum(axis=1) if rank else np.zeros((1, _SAMPLES))
             least = np.minimum(least, _p(squares.max(axis=0), rank))
         return np.sort(least)
 
@@ -116,8 +116,8 @@ class MinPValueTest:
 
         It is the share of simulated checks; in the tail, where these are too few, that of independent tests.
         """
-        if p > self._null[int(_TAIL * _DRAWS)]:
-            return float(np.searchsorted(self._null, p, side="right") / _DRAWS)
+        if p > self._null[int(_TAIL * _SAMPLES)]:
+            return float(np.searchsorted(self._null, p, side="right") / _SAMPLES)
         return float(-math.expm1(self._tests * math.log1p(-p)))
 
     def significant(self, p: float, false_alarm: float) -> bool:
@@ -137,7 +137,7 @@ class MinPValueTest:
     @cached_property
     def _tests(self) -> float:
         """Number of independent tests whose least p-value has the same distribution at the start of the tail."""
-        return math.log1p(-_TAIL) / math.log1p(-float(self._null[int(_TAIL * _DRAWS)]))
+        return math.log1p(-_TAIL) / math.log1p(-float(self._null[int(_TAIL * _SAMPLES)]))
 
 
 def _p(squares: Array, degrees: int | NDArray[np.intp]) -> Array:
@@ -168,8 +168,8 @@ _MOST_CHANGES = 4
 _ALIKE = 3.0
 """Half difference of chi-squared within which another change explains the stops about as well: a factor of 20."""
 _INSEPARABLE = 0.05
-"""Least share of a change's motion that a rival must leave unexplained for more stops to distinguish them: with a
-twentieth, a hundred times as many stops would be needed."""
+"""Least share of a change's motion that an alternative must leave unexplained for more stops to distinguish them: with
+a twentieth, a hundred times as many stops would be needed."""
 _TIE = 0.01
 """Difference of gains that counts as rounding: tracker and base of a cell of one arm."""
 NOT_EXPLAINED = 1e-3
@@ -235,8 +235,8 @@ class Design:
 class Cause:
     """An accepted change: its sizes (r,) in steps with their covariance, its motion (None unless rigid), its evidence.
 
-    ``p_value`` is the probability of at least as much evidence for any change if nothing has changed. ``rivals``
-    explain the stops about as well; ``open_rivals`` are not yet excluded with certainty, but more stops can do it.
+    ``p_value`` is the probability of at least as much evidence for any change if nothing has changed. ``confounded``
+    explain the stops about as well; ``undecided`` are not yet surely excluded, but more stops can do it.
     """
 
     alternative: Alternative
@@ -244,8 +244,8 @@ class Cause:
     covariance: Array
     motion: Array | None
     p_value: float
-    rivals: tuple[str, ...]
-    open_rivals: tuple[str, ...]
+    confounded: tuple[str, ...]
+    undecided: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,12 +253,12 @@ class Explanation:
     """Causes, the most evident first, and the p-value of chi-squared of the residuals."""
 
     causes: tuple[Cause, ...]
-    left_p_value: float
+    remaining_p_value: float
 
     @property
     def holds(self) -> bool:
         """Whether there are causes and they explain the stops."""
-        return bool(self.causes) and self.left_p_value >= NOT_EXPLAINED
+        return bool(self.causes) and self.remaining_p_value >= NOT_EXPLAINED
 
 
 def explain(design: Design, stops: StopRows) -> Explanation:
@@ -268,29 +268,29 @@ def explain(design: Design, stops: StopRows) -> Explanation:
     while True:
         moments = Moments.of(stops)
         rest = after(moments, nuisance) if nuisance else moments
-        left = [one for one in design.alternatives if one not in [cause.alternative for cause in causes]]
-        test = MinPValueTest.of(rest, left)
+        others = [one for one in design.alternatives if one not in [cause.alternative for cause in causes]]
+        test = MinPValueTest.of(rest, others)
         p_values = test.p_values(rest.white[:, None])[:, 0]
         if causes and not test.significant(float(p_values.min()), design.false_alarm):
             break
         if len(causes) == _MOST_CHANGES:
             break
-        fits = [_fit(design, stops, one, nuisance, rest, basis) for one, basis in zip(left, test.bases, strict=True)]
+        fits = [_fit(design, stops, one, nuisance, rest, basis) for one, basis in zip(others, test.bases, strict=True)]
         best = _best(fits, len(rest.white))
         stops = fits[best].stops
         nuisance += fits[best].members
         sizes, covariance = solved(Moments.of(stops), nuisance)
         own = slice(len(sizes) - len(fits[best].members), len(sizes))
-        rivals, open_rivals = _rivals(design, dict(zip(left, fits, strict=True)), left[best], sizes[own])
+        confounded, undecided = _confounded(design, dict(zip(others, fits, strict=True)), others[best], sizes[own])
         causes.append(
             Cause(
-                alternative=left[best],
+                alternative=others[best],
                 sizes=sizes[own],
                 covariance=covariance[own, own],
                 motion=fits[best].motion,
                 p_value=test.corrected(float(p_values[best])),
-                rivals=rivals,
-                open_rivals=open_rivals,
+                confounded=confounded,
+                undecided=undecided,
             )
         )
     return Explanation(tuple(causes), float(p_values[-1]))
@@ -315,7 +315,7 @@ class _Fit:
         return 0.5 * self.explained - 0.5 * self.rank * math.log(coordinates)
 
 
-def _rivals(
+def _confounded(
     design: Design, fits: Mapping[Alternative, _Fit], chosen: Alternative, sizes: Array
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Name what explains the stops about as well as the ``chosen`` change, and what more stops would exclude."""
@@ -355,11 +355,11 @@ def _fit(design: Design, stops: StopRows, one: Alternative, nuisance: list[int],
     return _Fit(members, here, chi_squared, before - chi_squared, len(basis), motion)
 
 
-def _tells(design: Design, cause: Alternative, sizes: Array, rival: Alternative) -> bool:
-    """Return whether the calibration's configurations distinguish a change from a rival."""
+def _tells(design: Design, cause: Alternative, sizes: Array, other: Alternative) -> bool:
+    """Return whether the calibration's configurations distinguish a change from an alternative."""
     whole = np.concatenate([moved.reshape(len(moved), -1) for moved in design.motions.values()], axis=1)
     moved = sizes @ whole[list(cause.members)]
-    basis = np.linalg.qr(whole[list(rival.members)].T)[0]
+    basis = np.linalg.qr(whole[list(other.members)].T)[0]
     unexplained = moved - basis @ (basis.T @ moved)
     return float(np.linalg.norm(unexplained)) > _INSEPARABLE * float(np.linalg.norm(moved))
 

@@ -11,7 +11,6 @@ from cellapp.commands.record import Request, Verb, Work
 from cellapp.commands.run.request import VERB as RUN
 from cellapp.ground.control import JobControl
 from cellapp.ground.outputs import NEW_ONLY, Outputs
-from cellapp.ground.progress import Listener
 from cellapp.interfaces.page import draw_certificate, write_page
 from cellapp.interfaces.tui.jobs import Ask, Job
 
@@ -28,9 +27,8 @@ def verb_job(verb: Verb, request: Request, outputs: Outputs = NEW_ONLY) -> Job:
 
     moves = verb.moves_arms and request.moves()
 
-    def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
+    def work(control: JobControl, ask: Ask) -> Result:
         given = Work(
-            listener,
             control,
             lambda profile_name: ask,
             outputs,
@@ -57,13 +55,13 @@ def whole_day(profile: Path, folder: Path, agreed: Profile) -> Job:
     """
     job = job_of(RUN, profile=profile, folder=folder)
 
-    def work(listener: Listener, control: JobControl, ask: Ask) -> Result | None:
+    def work(control: JobControl, ask: Ask) -> Result | None:
         from cellapp.cell.profile import load_profile
         from cellapp.ground.errors import InputError
 
         if load_profile(profile) != agreed:
             raise InputError(f"{profile} was edited since it was read; it is read again now, then F5 asks again")
-        return job.work(listener, control, ask)
+        return job.work(control, ask)
 
     return replace(job, work=work)
 
@@ -73,7 +71,7 @@ def own_readings(request: InitRequest) -> Job:
     assert request.readings is not None
     folder = request.folder / "logs" / request.readings.stem.lower().replace(" ", "-")
 
-    def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
+    def work(control: JobControl, ask: Ask) -> Result:
         from cellapp.cell.profile import load_profile
         from cellapp.commands.import_ import ImportRequest, import_new_run
         from cellapp.commands.init.own_data import InitResult
@@ -81,7 +79,7 @@ def own_readings(request: InitRequest) -> Job:
         from cellapp.commands.init.run import view
         from cellapp.ground.errors import InputError
 
-        written = verb_job(INIT, request).work(listener, control, ask)
+        written = verb_job(INIT, request).work(control, ask)
         assert isinstance(written, InitResult)
         if written.readings is None:  # a recording of motion
             raise InputError(str(view(written).parts[-1]))
@@ -97,10 +95,10 @@ def own_readings(request: InitRequest) -> Job:
 def check_plan(folder: Path) -> Job:
     """Return the job that runs the safety gate over the plan of a run again; nothing moves."""
 
-    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
+    def work(run: RunFile, control: JobControl, ask: Ask) -> Result:
         from cellapp.cell.planning.view import check_plan_run
 
-        return check_plan_run(run, listener, control)
+        return check_plan_run(run, control)
 
     return _of_run("plan check", folder, work)
 
@@ -108,22 +106,22 @@ def check_plan(folder: Path) -> Job:
 def forecast_plan(folder: Path) -> Job:
     """Return the job that forecasts the results of a run's plan."""
 
-    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
+    def work(run: RunFile, control: JobControl, ask: Ask) -> Result:
         from cellapp.cell.planning.view import forecast_run
 
-        return forecast_run(run, listener, control)
+        return forecast_run(run, control)
 
     return _of_run("forecast", folder, work)
 
 
-def _of_run(name: str, folder: Path, work: Callable[[RunFile, Listener, JobControl, Ask], Result]) -> Job:
+def _of_run(name: str, folder: Path, work: Callable[[RunFile, JobControl, Ask], Result]) -> Job:
     """Return a job that only reads a run."""
 
-    def opened(listener: Listener, control: JobControl, ask: Ask) -> Result:
+    def opened(control: JobControl, ask: Ask) -> Result:
         from cellapp.cell.run import RunFile
 
         with RunFile.open(folder) as run:
-            return work(run, listener, control, ask)
+            return work(run, control, ask)
 
     return Job(name, opened, folder)
 

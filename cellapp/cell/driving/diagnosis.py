@@ -34,7 +34,7 @@ from drivers.findings import Finding
 LONGEST_PROBE_S = 5.0
 """A device that is silent for this long [s] counts as dead, even if the profile allows it more time."""
 
-_DRAWS = 2000
+_SAMPLES = 2000
 """Number of random configurations for the visible share; its standard error is about 1 %."""
 _LEAST_VISIBLE = 0.002
 """Smallest visible share (4 of the draws) with which planning is expected to find enough stops."""
@@ -182,10 +182,10 @@ def _visibility(cell: CellBodies, profile: Profile, name: str) -> Finding:
         ranges = np.array(profile.plan.ranges)
         low, high = np.maximum(body.limits[:, 0], ranges[:, 0]), np.minimum(body.limits[:, 1], ranges[:, 1])
     low, high = np.where(low <= high, low, body.limits[:, 0]), np.where(low <= high, high, body.limits[:, 1])
-    q = np.random.default_rng([profile.seed, 0xD0C]).uniform(low, high, size=(_DRAWS, len(low)))
+    q = np.random.default_rng([profile.seed, 0xD0C]).uniform(low, high, size=(_SAMPLES, len(low)))
     clear = clear_alone(cell, place(body, q))
     share = float((visible(cell, name, q) & clear).mean())
-    text = f"the tracker sees it in {share:.1%} of {_DRAWS} random configurations that the arm may take"
+    text = f"the tracker sees it in {share:.1%} of {_SAMPLES} random configurations that the arm may take"
     if share >= _LEAST_VISIBLE:
         return Finding(subject, "ok", text)
     advice = "check smr.normal, smr.acceptance, arms.*.base, tracker.pose and the limits"

@@ -60,7 +60,7 @@ def with_unnamed(problem: SearchProblem, found: SearchResult, extended: SearchSt
     The unnamed term must lower the mean error by more than its standard error, and the whole that of the geometry.
     ``extended`` is None if the residuals need none or the outcome has smooth terms already.
     """
-    problem.cancel.check()
+    problem.job.check()
     whole = found
     if extended is not None:
         fit = without_names(extended.fit, [k for k in smooth_numbers(extended.fit.terms) if k >= len(found.fit.terms)])
@@ -91,8 +91,8 @@ def _without(problem: SearchProblem, found: SearchResult, parts: Collection[int]
 
 def _errors(found: SearchResult, fit: JointFit | None = None) -> Array:
     """Return the position errors (n,) [m] of left-out readings by the outcome's fit or by another one."""
-    left = left_out(found.data, fit or found.fit)
-    return np.asarray(np.linalg.norm(left[found.data.positions], axis=1))
+    residual = left_out(found.data, fit or found.fit)
+    return np.asarray(np.linalg.norm(residual[found.data.positions], axis=1))
 
 
 def _spread(scaled: Array) -> float:

@@ -38,12 +38,12 @@ from cellapp.estimation.calibration.quantities import ArmReadings, conditions_of
 from cellapp.estimation.discovery.arm_data import UNKNOWN
 from cellapp.estimation.discovery.discover import discover_arm
 from cellapp.estimation.readings import Readings
-from cellapp.estimation.uncertainty.naming_curve import NamingCurve
+from cellapp.estimation.uncertainty.detection_curve import NamingCurve
 from cellapp.ground.counting import counted
 from cellapp.ground.executors import PoolWork, TimeLimit, gather, local_cores
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.schema import Plant as PlantSection
-from cellapp.ground.progress import Notice, Progress
+from cellapp.ground.progress import Notice
 from cellapp.ground.results import Record, Result
 from cellapp.ground.version import __version__
 from cellapp.robot.effects import EFFECTS
@@ -238,7 +238,7 @@ def power_at(where: Path, trials: int, seed: int, work: PoolWork, limit: TimeLim
     """
     if not where.is_dir():
         profile = load_profile(where)
-        stops, _ = make_stops(profile, work.listener, work.cancel)
+        stops, _ = make_stops(profile, work.job)
         return power_of(PlannedCell.of(profile, stops), trials, seed, work, limit)
     with RunFile.open(where, write=True) as run:
         required_plan(run)
@@ -266,7 +266,7 @@ def power_of(planned: PlannedCell, trials: int, seed: int, work: PoolWork, limit
     ]
     failed: list[str] = []
     allowed = work.jobs or local_cores()  # the first trials show their duration
-    work.listener(Progress("power", 0, 0, detail=Notice(f"takes {limit.words()}; more trials narrow the intervals")))
+    work.job.tell("power", 0, 0, detail=Notice(f"takes {limit.words()}; more trials narrow the intervals"))
     while asked := _round(tried, trials)[:allowed]:
         began_s = limit.now()
         begun = any(one.trials for one in tried)

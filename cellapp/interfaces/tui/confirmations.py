@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from cellapp.commands.record import Request, Verb
 from cellapp.commands.registry import records
-from cellapp.interfaces.tui import work
+from cellapp.interfaces.tui import verb_jobs
 from cellapp.interfaces.tui.dialogs.question import Choice, ChosenAnswer, reading_of
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.host import Host
@@ -57,7 +57,7 @@ def offer_whole_day(app: Host) -> None:
     text = f"Plan, collect, calibrate, discover, push and verify with '{profile.name}' into {folder}; {arms}."
 
     def begin(answer: str | None) -> None:
-        if answer == "begin" and app.start_job(work.whole_day(path, folder, profile), cell):
+        if answer == "begin" and app.start_job(verb_jobs.whole_day(path, folder, profile), cell):
             app.action_show("collect")
 
     app.push_screen(Choice("Everything, unattended?", text, BEGIN), begin)
@@ -108,7 +108,7 @@ def _offer(screen: DayScreen, verb: Verb, given: Mapping[str, Any]) -> None:
     app = screen.cell_app
 
     def begin(request: Request | None) -> None:
-        if request is not None and app.start_job(work.verb_job(verb, request)):
+        if request is not None and app.start_job(verb_jobs.verb_job(verb, request)):
             app.asked_by = _VerbView(app, verb)
 
     text = f"{verb.summary}" + (f" {arms_words(screen.workspace)}." if verb.moves_arms else "")
@@ -164,7 +164,7 @@ def offer_at_rest(app: Host, arm: str) -> None:
             from cellapp.commands.job import VERB as AT_REST
             from cellapp.commands.job import AtRestRequest
 
-            app.start_job(work.verb_job(AT_REST, AtRestRequest(folder=folder, arm=arm)))
+            app.start_job(verb_jobs.verb_job(AT_REST, AtRestRequest(folder=folder, arm=arm)))
 
     answers = (ChosenAnswer("no", "No", "n"), ChosenAnswer("seen", "I see it at rest", "s", "warning"))
     text = f"Its stop was not confirmed: {app.workspace.unseen.get(arm, '')}. Say so only if you look at it now."

@@ -14,7 +14,7 @@ from cellapp.cell.planning.plan import make_stops
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.commands.report.sections import power_section
-from cellapp.commands.trials.power import (
+from cellapp.commands.trials.detectability import (
     NamingTrial,
     PlannedCell,
     PowerResult,
@@ -26,11 +26,11 @@ from cellapp.commands.trials.power import (
     stored_power,
     trial_cell,
 )
-from cellapp.estimation.uncertainty.naming_curve import NamingCurve
+from cellapp.estimation.uncertainty.detection_curve import NamingCurve
 from cellapp.ground.errors import InputError
 from cellapp.ground.executors import Gathered, PoolWork, TimeLimit
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import Notice, Progress
+from cellapp.ground.progress import JobToken, Notice, Progress
 from tests.program import app
 from tests.twin import PROFILES, whole_twin
 from tests.verbs import plan_new_run
@@ -149,9 +149,9 @@ def power_by(
         return search([*given.values()], all_may_fail)
 
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr("cellapp.commands.trials.power.gather", gather)
+        patched.setattr("cellapp.commands.trials.detectability.gather", gather)
         told = list[Progress]()
-        found = power_of(planned, trials, 3, PoolWork(listener=told.append), limit)
+        found = power_of(planned, trials, 3, PoolWork(job=JobToken(told.append)), limit)
     assert isinstance(told[0].detail, Notice)
     assert limit.words() in told[0].detail.text
     return found
@@ -241,7 +241,7 @@ def test_a_run_keeps_it_and_its_report_shows_it(
         asked.append((planned, trials, seed))
         return result
 
-    monkeypatch.setattr("cellapp.commands.trials.power.power_of", power_of_these)
+    monkeypatch.setattr("cellapp.commands.trials.detectability.power_of", power_of_these)
     plan_new_run(twin(stops=30), tmp_path / "run")
     CliRunner().invoke(
         app,
