@@ -25,9 +25,8 @@ from cellapp.robot.kinematics.transforms import Array
 Rows = NDArray[np.intp]
 """Indices of stops; with a first axis of length K, one index for each arm."""
 
-_PARTS_OF_WAY = (0.5, 0.25, 0.75)
-"""Fractions of the motion between two stops at which an arm is checked alone: they find most collisions; with four more
-an order has as many detours."""
+_PARTS_OF_WAY = (0.5, 0.25, 0.75, 0.125, 0.875, 0.375, 0.625)
+"""Fractions of the motion between two stops at which an arm is checked alone: they find most collisions."""
 
 
 @dataclass(frozen=True, eq=False)
