@@ -375,8 +375,8 @@ def _levels_of(step: Array) -> Array:
 # Correlations of a plan's factors with posture, time, block and each other; its time against that of random orders.
 
 
-_SAMPLED_WAYS = 80
-"""Upper limit of the motions between random stops that are searched for detours: about ten of them need one."""
+_SAMPLED_WAYS = 40
+"""Upper limit of the motions between random stops that are searched for detours: some of them need one."""
 _SAMPLED_A_STOP = 2
 """Such motions for each stop: in a small plan they say as much as all of its motions."""
 _RANDOM_ORDERS = 20

@@ -21,7 +21,13 @@ from typing import TypeVar, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.planning.candidates import CandidatePool, random_configurations, sample_pool, workspace_configurations
+from cellapp.cell.planning.candidates import (
+    COMBINED,
+    CandidatePool,
+    random_configurations,
+    sample_pool,
+    workspace_configurations,
+)
 from cellapp.cell.planning.information import InformationModel, even_conditions, information_model, sampled_conditions
 from cellapp.cell.planning.planned_stops import PlannedStops, joined_after
 from cellapp.cell.planning.records import ArmDesign, ErrorName, ObservabilityIndices, PlanQuality
@@ -281,8 +287,9 @@ _LARGER = (1.0, 1.25, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0)
 """Sizes of the random plans, relative to the judged plan; the equivalent size is interpolated among them."""
 _MOST_RANDOM = 12_000
 """Upper limit of the configurations in all random plans: bounds time and memory for plans of thousands of stops."""
-_SAMPLES = 6
-"""Number of random plans of each size that are averaged: the worst point differs by 10 % from plan to plan."""
+_SAMPLES = 4
+"""Number of random plans of a size that are averaged: the worst point differs by 10 % from plan to plan. Fewer of large
+plans, which differ less: as many as could be drawn apart from each other."""
 _PARTS = (25, 50, 100, 200, 400, 800, 1600, 3200)
 """Numbers of stops after which the expected errors are stated."""
 
@@ -334,7 +341,7 @@ class DesignJudge:
         cell = cell_bodies(profile)
         number = min(math.ceil(_LARGER[-1] * stops), max(_MOST_RANDOM, stops))
         sampled = []
-        for q in islice(random_configurations(cell, profile, name, rng), number):
+        for q in islice(random_configurations(cell, profile, name, rng, COMBINED), number):
             job.check()
             sampled.append(q)
         q = np.array(sampled)
@@ -374,15 +381,15 @@ class DesignJudge:
         p = self.random.shape[2]
         found = {size: list[Errors]() for size in sizes}
         total = {size: np.zeros((p, p)) for size in sizes}
-        for _ in range(_SAMPLES):
+        for draw in range(_SAMPLES):
             order = self.rng.permutation(len(self.random))
             information, before = np.zeros((p, p)), 0
-            for size in sorted(sizes):
+            for size in sorted(size for size in sizes if not draw or size * (draw + 1) <= len(order)):
                 information = information + information_of(self.random[order[before:size]])
                 before = size
                 found[size].append(self.errors(information))
-                total[size] += information / _SAMPLES
-        return {size: (_mean(errors), total[size]) for size, errors in found.items()}
+                total[size] += information
+        return {size: (_mean(errors), total[size] / len(errors)) for size, errors in found.items()}
 
     def determined(self, information: Array) -> tuple[int, ...]:
         """Return the indices of the geometric parameters that readings with this information matrix determine.
