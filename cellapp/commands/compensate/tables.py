@@ -23,6 +23,8 @@ from cellapp.commands.view.table import (
 )
 
 _PAIRS = "between arms"
+_COMMANDS = {"uncompensated": "nominal", "compensated": "compensated", "corrected": "corrected"}
+"""Words for commands -> the beginning of the fields with their errors."""
 
 _DEG = ".2f"
 """Number format of joint angles in degrees."""
@@ -256,23 +258,21 @@ def verification_tables(result: VerifyResult) -> list[Table]:
     Empty if no target was measured with both commands.
     """
     measured = dict(result.arms) if result.cooperative is None else {**result.arms, _PAIRS: result.cooperative}
-    rows = [
-        (f"{name}, {label}", *error_cells(summary))
-        for name, arm in measured.items()
-        for label, summary in (("uncompensated", arm.nominal_mm), ("compensated", arm.compensated_mm))
-    ]
-    if not rows:
-        return []
     columns = columns_of("arm, command", *ERROR_COLUMNS)
-    angles = [
-        (f"{name}, {label}", *error_cells(summary))
-        for name, arm in measured.items()
-        for label, summary in (("uncompensated", arm.nominal_mrad), ("compensated", arm.compensated_mrad))
-        if summary is not None
-    ]
+    errors, angles = (
+        tuple(
+            (f"{name}, {label}", *error_cells(summary))
+            for name, arm in measured.items()
+            for label, field in _COMMANDS.items()
+            if (summary := getattr(arm, f"{field}_{unit}", None)) is not None
+        )
+        for unit in ("mm", "mrad")
+    )
+    if not errors:
+        return []
     return [
-        Table("Targets: measured distance from where they should be [mm]", columns, tuple(rows)),
-        *([Table("Targets: measured angle from the rotation wanted [mrad]", columns, tuple(angles))] if angles else []),
+        Table("Targets: measured distance from where they should be [mm]", columns, errors),
+        *([Table("Targets: measured angle from the rotation wanted [mrad]", columns, angles)] if angles else []),
         *_tolerance_tables(result),
     ]
 
