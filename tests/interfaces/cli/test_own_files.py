@@ -34,7 +34,7 @@ def points(q: Array) -> Array:
 def calibrated(call: Any, q: Array, p_M: Array) -> tuple[Any, Any, Any]:
     """What ``init`` ends with, and the results of ``import`` and ``calibrate``, of an own table."""
     write_table(Path("own.csv"), q, p_M)
-    made = call("init", "cell", "--readings", "own.csv", "--arm", "ur5")
+    made = call("init", "cell", "--readings", "own.csv", "--arm", "UR5")
     imported = call("import", "cell/profiles/own.yaml", "cell/readings/own.csv", "--run", "run", "--json", "-")
     found = call("calibrate", "run", "--json", "-")
     return made, imported.json, found.json
