@@ -40,13 +40,6 @@ if TYPE_CHECKING:
     from cellapp.commands.view.parts import Parts
 
 
-def _certificate_words(workspace: Workspace) -> str:
-    """Return what a person must know before a certificate is written."""
-    complaints = () if workspace.overview is None else workspace.overview.complaints
-    marks = f" OUT OF DATE: {'; '.join(complaints)}." if complaints else ""
-    return f"What was measured in {workspace.folder}, judged by its tolerances; what was not given is named.{marks}"
-
-
 def verdict(folder: Path) -> RunVerdict | None:
     """Read judgements, marks and next steps of a run; None if it cannot be read. Call it in a separate thread."""
     from datetime import UTC, datetime
@@ -144,9 +137,11 @@ class AcceptScreen(DayScreen):
         """Ask for number and data, then write the certificate."""
         if (folder := self.open_folder()) is not None:
             self.show_tab(CERTIFICATE)
-            text = f"{_certificate_words(self.workspace)} Nothing moves."
+            overview = self.workspace.overview
+            late = f" OUT OF DATE: {'; '.join(overview.complaints)}." if overview and overview.complaints else ""
+            text = f"What was measured in {folder}, judged by its tolerances; what was not given is named.{late}"
             write = ChosenAnswer("send", "Write", "w", "success"), ChosenAnswer("no", "Not now", "n")
-            self.ask_verb(VerbQuestion(CERTIFICATE_VERB, text, write, {"folder": folder}))
+            self.ask_verb(VerbQuestion(CERTIFICATE_VERB, f"{text} Nothing moves.", write, {"folder": folder}))
 
     def action_report(self) -> None:
         """Write the report of the open run."""
