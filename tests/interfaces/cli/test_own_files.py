@@ -59,6 +59,7 @@ def test_repeats_stay_on_one_side(call: Any) -> None:
     searched = call("discover", "run", "--json", "-").json["arms"]["robot"]
     assert searched["accepted"] == []
     assert searched["verdict"] == "nothing missing"
+    assert "next: cellapp docs targets, then 'cellapp compensate run TARGETS'" in call("show", "run").out
 
 
 def test_neighbours_are_held_out_together(call: Any) -> None:
