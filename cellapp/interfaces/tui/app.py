@@ -170,7 +170,8 @@ class SlowCollections:
     def watch(self) -> None:
         """Start watching, for the rest of the process."""
         gc.callbacks.append(self._passed)
-        gc.set_threshold(*gc.get_threshold()[:_FULL], _SELDOM)
+        young, middle, _ = gc.get_threshold()
+        gc.set_threshold(young, middle, _SELDOM)
 
     def _passed(self, phase: str, info: Mapping[str, int]) -> None:
         if info["generation"] < _FULL:

@@ -63,15 +63,19 @@ def wide(browser: Browser, report: Path) -> Iterator[Page]:
     context.close()
 
 
+def _record(page: Page, messages: list[str], requests: list[str]) -> None:
+    page.on("console", lambda message: messages.append(message.text))
+    page.on("pageerror", lambda error: messages.append(str(error)))
+    page.on("request", lambda request: requests.append(request.url))
+
+
 @pytest.mark.parametrize("width", [1280, 390])
 def test_page_in_a_browser(browser: Browser, report: Path, width: int) -> None:
     grounds = {}
     for scheme in ("light", "dark"):
         page = browser.new_page(viewport={"width": width, "height": 844}, color_scheme=scheme)
         messages, requests = list[str](), list[str]()
-        page.on("console", lambda message, told=messages: told.append(message.text))
-        page.on("pageerror", lambda error, told=messages: told.append(str(error)))
-        page.on("request", lambda request, asked=requests: asked.append(request.url))
+        _record(page, messages, requests)
         page.goto(report.as_uri(), timeout=LONGEST_MS)
         page.locator("#fold").click()  # what is folded must fit, too
         assert page.get_by_role("heading", level=1).is_visible()
