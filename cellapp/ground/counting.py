@@ -41,7 +41,7 @@ def did_you_mean(
 
 
 def listed_numbers(text: str, what: str) -> tuple[int, ...]:
-    """The numbers that a text such as ``0-9,12`` lists, ascending; none for ``none``. ``what`` they count, as "stops".
+    """The numbers that a text such as ``1-10,13`` lists, ascending; none for ``none``. ``what`` they count, as "stops".
 
     Raises ``InputError`` if it is no such list.
     """
@@ -49,7 +49,7 @@ def listed_numbers(text: str, what: str) -> tuple[int, ...]:
     for part in () if text.strip() == "none" else text.split(","):
         match = _NUMBERS.fullmatch(part.strip())
         if match is None:
-            raise InputError(f"'{part.strip()}': expected {what} such as 0-9,12, or none")
+            raise InputError(f"'{part.strip()}': expected {what} such as 1-10,13, or none")
         first, last = int(match[1]), int(match[2] or match[1])
         found |= {*range(first, last + 1)}
     return tuple(sorted(found))

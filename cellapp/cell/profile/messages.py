@@ -244,6 +244,8 @@ def _expected(details: ErrorDetails, at: KeyPath, document: YamlDocument) -> str
             return f"expected at least {context['min_length']} values, got {got}"
         case "string_too_short":
             return "expected a text, got an empty one"
+        case "string_pattern_mismatch":
+            return f"expected a text of the form {context['pattern'].strip('^$')}, got {got}"
         case _:
             return plain(details["msg"])
 

@@ -264,7 +264,7 @@ def make_empty_folder(folder: Path) -> list[Path]:
     """
     if folder.is_dir():
         with sentences(folder):
-            names = sorted(entry.name for entry in folder.iterdir() if not entry.name.startswith(UNFINISHED))
+            names = sorted(one.name for one in folder.iterdir() if one.is_dir() or not one.name.startswith(UNFINISHED))
         if FILE_NAME in names:
             raise InputError(
                 f"{folder} already holds a run ({FILE_NAME}): 'cellapp show {shell_word(folder)}' says what"

@@ -22,6 +22,7 @@ from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions, require
 from cellapp.cell.safety.gate import CellBodies, refuse_motion, refuse_path, visible
 from cellapp.cell.targets.goals import goals_of_arm
 from cellapp.cell.targets.ranges import load_centers
+from cellapp.cell.targets.target_csv import is_csv
 from cellapp.cell.targets.target_source import location, placed_error, read_yaml
 from cellapp.cell.targets.targets import Target, WorkFrame, WorkingConditions
 from cellapp.ground.errors import InputError
@@ -153,7 +154,7 @@ class PathList(Section):
 
 def holds_paths(path: Path) -> bool:
     """Return whether a file is a path file: YAML that says so in its key ``schema``."""
-    content = None if path.suffix.lower() == ".csv" else read_yaml(path).content
+    content = None if is_csv(path) else read_yaml(path).content
     return isinstance(content, dict) and content.get("schema") == _SCHEMA
 
 

@@ -21,12 +21,22 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from cellapp.cell.profile.messages import KeyPath
-from cellapp.cell.run.csv_text import NUMBER, CsvTable, Problems, check_names, read_csv_table, short, unquoted_text
+from cellapp.cell.run.csv_text import (
+    COMMENTS,
+    NUMBER,
+    CsvTable,
+    Problems,
+    check_names,
+    read_csv_table,
+    short,
+    unquoted_text,
+)
 from cellapp.cell.targets.target_source import TargetSource
 from cellapp.ground.counting import did_you_mean
 from drivers.quantities import parse_quantity
@@ -85,6 +95,15 @@ class _Column:
     path: KeyPath
     unit: str
     factor: float
+
+
+def is_csv(path: Path) -> bool:
+    """Return whether a file is CSV: by its first line, a header row with ``arm`` or a key of YAML, else by its name."""
+    with suppress(OSError), path.open(encoding="utf-8-sig", errors="replace") as file:
+        first = next((line for line in map(str.strip, file) if line and not line.startswith(COMMENTS)), "")
+        if ":" in first or re.search(r"\barm\b", first):
+            return ":" not in first
+    return path.suffix.lower() == ".csv"
 
 
 def read_csv(path: Path, joints: Mapping[str, int]) -> TargetSource:

@@ -22,6 +22,7 @@ from cellapp.estimation.calibration.records import (
 )
 from cellapp.ground.counting import counted
 from cellapp.ground.results import METHODS, STAGES
+from cellapp.ground.shell import shell_word
 from cellapp.robot.effects import EFFECTS
 from cellapp.robot.kinematics.chain import parameter_unit
 
@@ -56,10 +57,11 @@ _PAIR_TITLE = "Pair: held-out cooperative errors [mm]"
 
 
 def view(result: CalibrateResult, request: Request | None = None) -> View:
-    """Show held-out errors, the parameters on request, and the tracker's own uncertainty beside them."""
-    parameters = isinstance(request, CalibrateRequest) and request.parameters
-    shown = parameters_view(result).parts if parameters else ()
-    return View((*calibration_tables(result), *shown, *tracker_sentences(result), *result.notes))
+    """Show held-out errors, parameters on request, beside them the tracker's own uncertainty, and what comes next."""
+    asked = request if isinstance(request, CalibrateRequest) else None
+    shown = parameters_view(result).parts if asked and asked.parameters else ()
+    onward = [f"next: cellapp discover {shell_word(asked.folder)}"] if asked else []
+    return View((*calibration_tables(result), *shown, *tracker_sentences(result), *result.notes, *onward))
 
 
 def parameters_view(result: CalibrateResult) -> View:

@@ -152,10 +152,10 @@ def _found_and_left(
 ) -> CertifiedErrors:
     """Return what was verified, and what ``nominal`` and ``best`` predict in their fields ``mm`` and ``mrad``."""
     return CertifiedErrors(
-        found=verified and verified.nominal_mm,
-        left=verified and (verified.corrected_mm or verified.compensated_mm),
-        found_mrad=verified and verified.nominal_mrad,
-        left_mrad=verified and verified.compensated_mrad,
+        found=getattr(verified, "nominal_mm", None),
+        left=getattr(verified, "corrected_mm", None) or getattr(verified, "compensated_mm", None),
+        found_mrad=getattr(verified, "nominal_mrad", None),
+        left_mrad=getattr(verified, "compensated_mrad", None),
         predicted_found=getattr(nominal, mm, None),
         predicted_left=getattr(best, mm, None),
         predicted_found_mrad=getattr(nominal, mrad, None),

@@ -15,6 +15,8 @@ from cellapp.commands.view.table import Field, Table, urgent_rows, with_rows
 from cellapp.ground.grouping import grouped
 
 _PAIRS = "between arms"
+_COMMANDS = {"uncompensated": "nominal", "compensated": "compensated", "corrected": "corrected"}
+"""Words for commands -> the beginning of the fields with their errors."""
 
 _DEG = ".2f"
 """Number format of joint angles in degrees."""
@@ -242,8 +244,8 @@ def verification_tables(result: VerifyResult) -> list[Table]:
             (
                 (f"{name}, {command}", errors)
                 for name, arm in measured.items()
-                for command, key in (("uncompensated", "nominal"), ("compensated", "compensated"))
-                if (errors := getattr(arm, f"{key}_{unit}")) is not None
+                for command, key in _COMMANDS.items()
+                if (errors := getattr(arm, f"{key}_{unit}", None)) is not None
             ),
         )
         for what, unit in units.items()

@@ -335,7 +335,7 @@ def _types(own: InitRequest, joints: int) -> list[_Type]:
             text = file_text(path, "--arm takes the file of an arm type")
         found = [_Type(path.stem, f"arms/{path.stem.lower()}.yaml", text, arm_type_of_text(text, path), notes, other)]
     else:
-        found = [one for one in _all_arms() if arm in ("", one.name)]
+        found = [one for one in _all_arms() if arm.lower() in ("", one.name)]
     if not found:
         known = ", ".join(file.stem for file in arm_type_files())
         raise InputError(

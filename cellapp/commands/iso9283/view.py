@@ -31,7 +31,6 @@ _VALUES: Mapping[str, Callable[[CommandedTests], Sequence[IsoValue]]] = {
 """Characteristics in order of preference; the first measured one makes the message of an arm."""
 _COMMANDED: tuple[Field, ...] = (("arm", "arm"), ("commands", "commands"))
 """First columns of a table of ``_Commanded``."""
-_FOUND: Mapping[IsoCommands, str] = {"nominal": "as found", "calibrated": "as left"}
 
 
 def view(result: Iso9283Result, request: Iso9283Request | None = None) -> View:
@@ -122,9 +121,7 @@ def _message(result: Iso9283Result) -> str:
 def _largest(values: Mapping[IsoCommands, Sequence[IsoValue]]) -> str:
     """State the largest value with each kind of commands."""
     return ", ".join(
-        f"{max(abs(one.value_mm) for one in values[kind]):.3f} mm {_FOUND[kind]}"
-        for kind in ISO_COMMANDS
-        if values.get(kind)
+        f"{max(abs(one.value_mm) for one in values[kind]):.3f} mm ({kind})" for kind in ISO_COMMANDS if values.get(kind)
     )
 
 

@@ -156,6 +156,8 @@ _MOST = 100
 """Limit of freezes per job: frozen objects that become garbage, like a closed dialog, keep their memory."""
 _FULL = 2
 """The oldest generation of the garbage collector."""
+_SELDOM = 200
+"""Middle collections before a full one; at Python's 10 every other first visit of a screen waits 0.1 s for one."""
 
 
 class SlowCollections:
@@ -168,6 +170,8 @@ class SlowCollections:
     def watch(self) -> None:
         """Start watching, for the rest of the process."""
         gc.callbacks.append(self._passed)
+        young, middle, _ = gc.get_threshold()
+        gc.set_threshold(young, middle, _SELDOM)
 
     def _passed(self, phase: str, info: Mapping[str, int]) -> None:
         if info["generation"] < _FULL:

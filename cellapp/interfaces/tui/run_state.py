@@ -68,8 +68,10 @@ def _next_words(workspace: Workspace, waits: str) -> str:
         return f"Next ({key}): plan a run{last}"
     if not words:
         return f"Next: nothing is left to do in this run; {SHOWN['runs']} lists all"
-    verb = workspace.overview.next_verb
-    return f"Next ({key}): {f'{verb}, ' if verb and words.startswith('cellapp ') else ''}{with_keys(words)}"
+    if words.startswith("cellapp "):
+        verb, command = workspace.overview.next_verb, words.replace("'", "")  # a folder may be quoted
+        words = f"{verb}, '{command}'" if verb else f"'{command}'"
+    return f"Next ({key}): {with_keys(words)}"
 
 
 def marks_of(workspace: Workspace, measured: int, planned: int, todo: int, running: Step | None) -> dict[Step, Mark]:
@@ -273,9 +275,8 @@ class RunState:
         if self.reading:
             return self.reading
         if self.measured:
-            if self.stored == "calibrated":
-                return f"{self.measured_words}; their residuals are in Calibrate (key 4)."
-            return f"{self.measured_words}; their residuals are in Calibrate (key 4) once they are calibrated."
+            once = "" if self.stored == "calibrated" else " once they are calibrated"
+            return f"{self.measured_words}; their residuals are in Calibrate (key 4){once}."
         return (
             f"No readings yet. {COPY_IT}" if self.workspace.read_only else f"No readings yet: {SHOWN['go']} collects."
         )

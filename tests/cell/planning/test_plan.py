@@ -227,7 +227,7 @@ def test_a_new_design_leaves_what_is_frozen(tmp_path: Path) -> None:
         replan(run)
         after = read_planned_stops(run)
         assert np.array_equal(after.q["left"][after.frozen], before.q["left"][[1, 4]])
-        with pytest.raises(InputError, match="there is no configuration 6; there are 0 to 5"):
+        with pytest.raises(InputError, match="there is no stop 7; there are 1 to 6"):
             freeze_stops(run, [6])
         freeze_stops(run, [])
         assert not read_planned_stops(run).frozen.any()

@@ -38,13 +38,6 @@ if TYPE_CHECKING:
     from cellapp.commands.report.summary import RunVerdict
 
 
-def _certificate_words(workspace: Workspace) -> str:
-    """Return what a person must know before a certificate is written."""
-    complaints = () if workspace.overview is None else workspace.overview.complaints
-    marks = f" OUT OF DATE: {'; '.join(complaints)}." if complaints else ""
-    return f"What was measured in {workspace.folder}, judged by its tolerances; what was not given is named.{marks}"
-
-
 def verdict(folder: Path) -> RunVerdict | None:
     """Read judgements, marks and next steps of a run; None if it cannot be read. Call it in a separate thread."""
     from datetime import UTC, datetime
@@ -135,9 +128,11 @@ class AcceptScreen(TabsScreen):
         """Ask for number and data, then write the certificate."""
         if (folder := self.open_folder()) is not None:
             self.show_tab("Certificate")
-            text = f"{_certificate_words(self.workspace)} Nothing moves."
+            overview = self.workspace.overview
+            late = f" OUT OF DATE: {'; '.join(overview.complaints)}." if overview and overview.complaints else ""
+            text = f"What was measured in {folder}, judged by its tolerances; what was not given is named.{late}"
             write = ChosenAnswer("send", "Write", "w", "success"), ChosenAnswer("no", "Not now", "n")
-            self.ask_verb(CERTIFICATE_VERB, text, {"folder": folder}, write)
+            self.ask_verb(CERTIFICATE_VERB, f"{text} Nothing moves.", {"folder": folder}, write)
 
     def action_report(self) -> None:
         """Write the report of the open run."""
