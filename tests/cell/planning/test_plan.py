@@ -87,14 +87,6 @@ def test_the_simulated_tracker_finds_every_smr_of_the_true_cell(plan: dict[str, 
                 assert np.linalg.norm(point.p_M - expected) < 0.03, "and it is this arm's"
 
 
-def test_the_seed_makes_the_plan(plan: dict[str, np.ndarray]) -> None:
-    again = plan_stops(small_twin())
-    other = plan_stops(small_twin().model_copy(update={"seed": 2}))
-    for name, q in plan.items():
-        np.testing.assert_array_equal(again[name], q)
-        assert not np.any(np.all(other[name] == q, axis=1))
-
-
 def behind_its_back(profile: Profile) -> Profile:
     tracker = profile.tracker.model_copy(update={"azimuth": (math.pi - 0.3, math.pi + 0.3)})
     return profile.model_copy(update={"tracker": tracker})

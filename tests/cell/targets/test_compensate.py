@@ -13,7 +13,7 @@ import pytest
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import refuse_stop, visible
-from cellapp.cell.targets.compensate import Command, compensate, compensate_result, invert_model, with_approach
+from cellapp.cell.targets.compensate import Command, compensate, compensate_result, invert_model
 from cellapp.cell.targets.prediction import command_record
 from cellapp.cell.targets.targets import Partner, Target, load_targets
 from cellapp.estimation.readings import Readings
@@ -93,20 +93,6 @@ def test_what_the_network_adds_is_aimed_off_for(model: CellModel, commands: tupl
     assert len(q) >= 5
     assert reached.all()
     np.testing.assert_allclose(arm.predict(back), arm.predict(q), atol=1e-9)
-
-
-def test_the_side_that_a_joint_arrives_from_is_made_good(model: CellModel) -> None:
-    """By the play's own rule: a joint stays half the play behind its last motion."""
-    arm = with_effects(model, "right", BACKLASH, COMPLIANCE)
-    command = np.array([0.3, -1.2, 0.9, -1.0, 0.7, 0.2])
-    half = np.array([1e-4, 2e-4, 0.0, 0.0, 0.0, 5e-5])
-    middle = arm.true_joints(command[None])[0]
-    for here in (command + 1.0, command - 1.0, command + np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0])):
-        side = np.sign(command - here)
-        sent = with_approach(arm, command, here)
-        np.testing.assert_allclose(arm.true_joints(sent[None], side[None])[0], middle, atol=1e-11)
-        np.testing.assert_allclose(sent - command, side * half, atol=1e-6)
-    np.testing.assert_allclose(with_approach(arm, command, command), command, atol=1e-12)
 
 
 def one(arm: str, position: tuple[float, float, float], rpy: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Target:

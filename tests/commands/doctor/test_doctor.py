@@ -278,17 +278,6 @@ def test_a_program_that_a_cellapp_left_is_ended_after_one_question(
 # -- emulate ----------------------------------------------------------------------------------------------------------
 
 
-def test_simulated_arms_are_stood_in_for_on_addresses_of_their_own(twin: Profile) -> None:
-    arms = emulated_arms(twin)
-    assert [(arm.arm, arm.controller.model, arm.host) for arm in arms] == [
-        ("left", "UR10", "127.0.0.2"),
-        ("right", "UR5", "127.0.0.3"),
-    ]
-    assert {(arm.dashboard_port, arm.primary_port) for arm in arms} == {(29999, 30001)}
-    assert arms[0].controller.rows[1][2] == -0.612
-    assert len({arm.controller.serial for arm in arms}) == 2
-
-
 def test_ur_arms_are_stood_in_for_on_loopback_hosts_only(real: Profile) -> None:
     with pytest.raises(InputError, match="no controller to emulate"):
         emulated_arms(real)

@@ -49,21 +49,9 @@ def test_numbers_in_sentences_have_no_exponent_and_are_never_minus_zero() -> Non
     assert [plain(3.5e4), plain(8.48e-5), plain(-0.0), plain(-2.5e-7, 1)] == ["35000", "0.0000848", "0", "-0.0000002"]
 
 
-def test_headings_have_units_and_rows_are_text() -> None:
-    assert TABLE.headings == ("stage", "mean [mm]", "n", "note")
-    assert TABLE.text_rows() == (("nominal", "0.1235", "17", "[bold]"), ("effects", "0.1000 to 0.2500", "", ""))
-
-
 def test_a_row_needs_a_cell_for_each_column() -> None:
     with pytest.raises(ValueError, match="1 cells in a row of 2 columns"):
         Table("t", (Column("a"), Column("b")), (("only",),))
-
-
-def test_a_terminal_shows_brackets_as_text_and_aligns_numbers_right() -> None:
-    text = drawn(TABLE, 80)
-    assert text.count("[bold]") == text.count("Errors [mm]") == 1
-    first, second = (line for line in text.splitlines() if line.strip().startswith(("nominal", "effects")))
-    assert first.index("0.1235") + len("0.1235") == second.index("0.2500") + len("0.2500")
 
 
 def test_of_a_long_view_a_terminal_gets_the_sentences_what_fits_and_the_command_for_the_rest() -> None:

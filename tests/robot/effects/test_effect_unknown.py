@@ -8,15 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellapp.robot.effects import (
-    EFFECTS,
-    ActsOn,
-    EffectTerm,
-    MeasurementConditions,
-    displacement,
-    term_from_json,
-    term_to_json,
-)
+from cellapp.robot.effects import EFFECTS, ActsOn, EffectTerm, MeasurementConditions, term_from_json, term_to_json
 from cellapp.robot.effects.data_driven import (
     FIELD,
     FIELD_LENGTH,
@@ -33,7 +25,7 @@ from cellapp.robot.effects.data_driven import (
 from cellapp.robot.effects.law import AMPLITUDE
 from cellapp.robot.effects.modulation import OWN_SIZE, TermInput, modulations, with_modulations
 from cellapp.robot.kinematics.transforms import rotation_z
-from tests.robot.effects.cell import EYE, NOTHING, by_name, chain, context_of, curve_laws, offsets, shifts, slope, under
+from tests.robot.effects.cell import EYE, by_name, chain, context_of, curve_laws, offsets, shifts, slope, under
 
 CONTEXT = context_of(40)
 UNKNOWN = EFFECTS["unknown"]
@@ -78,17 +70,6 @@ def test_a_form_is_read_back_from_its_name(acts_on):
     assert pair is not None
     assert names_of(pair.inputs) == ("q2", "time")
     assert (pair.acts_on.acts_on is ActsOn.JOINT) == (pair.acts_on.joint is not None)
-
-
-def test_a_variable_that_is_unknown_or_constant_is_not_tried():
-    bare = replace(under(CONTEXT, NOTHING), smr_normal=None)
-    torques = tuple(f"torque{j}" for j in range(1, 7))
-    assert names_of(variables(bare)) == (*EVERY[:6], *torques, "range", "azimuth", "elevation")
-    q = CONTEXT.q.copy()
-    q[:, 3] = 0.5
-    assert "q4" not in names_of(variables(replace(CONTEXT, q=q)))
-    known = MeasurementConditions(payload_kg=np.full(40, 1.0))
-    assert "payload" not in names_of(variables(under(CONTEXT, known)))
 
 
 def moved_of(acts_on, context, row):
@@ -181,14 +162,6 @@ def term() -> EffectTerm:
         modulations=(own, load),
         law_misfit=0.2,
     )
-
-
-def test_a_term_with_a_free_part_moves_by_the_law_times_one_and_a_function():
-    one = term()
-    assert one.law_names == ("compliance2",)
-    (base, own, load) = with_modulations(STIFF[:1], one.modulations, CONTEXT_OF_MODULATION)
-    moved = displacement([one], EFFECTS, CONTEXT_OF_MODULATION).joints[:, 1]
-    np.testing.assert_allclose(moved, 1e-5 * offsets(base) + 2e-6 * offsets(own) - 1e-6 * offsets(load), atol=1e-15)
 
 
 def test_a_free_part_survives_json():
