@@ -82,7 +82,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """Processes for ``pytest -n auto``: one more than for two cores, as one waits; none for a part of the tests.
+    """Processes for ``pytest -n auto``: more than two cores have, as some wait; none for a part of the tests.
 
     A file's tests share a process, which has loopback addresses of its own (``loopback.own_address``).
     """

@@ -1,8 +1,8 @@
 """Which test process takes which files: some compute, others mostly wait for emulated devices and terminals.
 
-A file whose tests wait says so: ``pytestmark = pytest.mark.waits``. These come last. Of several processes one half
-takes files from the beginning of the queue, the other half from its end, until they meet. What waits needs the
-processor seldom but at once, so the processes that compute leave it to the others.
+A file whose tests wait says so: ``pytestmark = pytest.mark.waits``. These come last. Of several processes one in four
+takes files from the end of the queue, the others from its beginning, until they meet. What waits needs the processor
+seldom but at once, so the processes that compute leave it to the others.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ import pytest
 from xdist.scheduler import LoadFileScheduling
 from xdist.workermanage import WorkerController
 
-PROCESSES = 3
-"""Of all tests, for two cores: two that compute, and one that waits."""
+PROCESSES = 4
+"""Of all tests, for two cores: one that waits, and three that compute, as tests of screens wait half of their time."""
 _NICENESS = 5
 
 
@@ -32,11 +32,11 @@ def leave_the_processor(config: pytest.Config) -> None:
 
 def _waits(worker: str, count: int) -> bool:
     """Whether a process (gw0, gw1, ...) of ``count`` takes files from the end."""
-    return int(worker.removeprefix("gw")) >= count - count // 2
+    return int(worker.removeprefix("gw")) >= count - (count + 2) // 4
 
 
 class FromBothEnds(LoadFileScheduling):
-    """Whole files, for half of the processes from the end of the queue."""
+    """Whole files, for some of the processes from the end of the queue."""
 
     def _assign_work_unit(self, node: WorkerController) -> None:
         if _waits(node.gateway.id, self.numnodes):
