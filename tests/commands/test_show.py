@@ -17,7 +17,6 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.targets.records import ArmVerification, MeasuredTarget, VerifyResult
 from cellapp.commands.check.request import VERB as CHECK
 from cellapp.commands.discover.request import VERB as DISCOVER
-from cellapp.commands.docs.schema import results_by_name, written_results
 from cellapp.commands.push.request import VERB as PUSH
 from cellapp.commands.record import Asked, Request, Stored, Variant, Verb, View, Work
 from cellapp.commands.registry import records
@@ -44,7 +43,6 @@ from cellapp.interfaces.tui.dialogs.question import Reading
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.verb_jobs import job_of
 from tests.commands.toys.greet import VERB as GREET
-from tests.commands.toys.greet import GreetResult
 from tests.interfaces.tui.pilot import PROFILES, SMALL, opened, shown_text, until
 from tests.twin import finished_twin
 
@@ -215,11 +213,6 @@ def test_a_command_with_its_options_its_output_and_its_json(run: Path) -> None:
     written = json.loads(CliRunner().invoke(app, ["greet", str(run), "--json", "-"]).stdout)
     assert written == {"schema": "toy-greet", "version": 1, "arms": ["left", "right"], "times": 1}
     assert CliRunner().invoke(app, ["greet", str(run), "--times", "4"]).exit_code == 2
-
-
-def test_a_schema() -> None:
-    assert GreetResult in written_results(WITH_TOY)
-    assert "toy-greet" in results_by_name(written_results(WITH_TOY))
 
 
 async def test_a_dialog_a_job_and_a_text_in_the_terminal_application(

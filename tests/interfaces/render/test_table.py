@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from cellapp.commands.view.parts import Part, Section
-from cellapp.commands.view.table import Cell, Column, Interval, Number, Table, format_cell, number_column
+from cellapp.commands.view.table import Column, Interval, Table, number_column
 from cellapp.ground.counting import mm, plain
 from cellapp.interfaces.render.terminal import rich_table, shortened
 
@@ -20,28 +20,6 @@ TABLE = Table(
     (Column("stage"), number_column("mean", ".4f", "mm"), number_column("n", "d"), Column("note")),
     (("nominal", 0.12345, 17, "[bold]"), ("effects", Interval(0.1, 0.25), None, None)),
 )
-
-
-@pytest.mark.parametrize(
-    ("cell", "number_format", "text"),
-    [
-        (None, ".4f", ""),
-        ("none", ".4f", "none"),
-        (3, "d", "3"),
-        (0.00497, ".2g", "0.005"),
-        (-0.5, "+.5f", "-0.50000"),
-        (Interval(0.1, 0.25), ".4f", "0.1000 to 0.2500"),
-        (Interval(9, 37), "d", "9 to 37"),
-        (Interval(16.6327, 16.7033, 3), ".4f", "16.633 to 16.703"),
-        (Number(27.69, 1, "%"), ".4f", "27.7 %"),
-        (Number(42.91, 1), "", "42.9"),
-        (-1e-6, ".4f", "0.0000"),
-        (-1e-6, "+.3f", "+0.000"),
-        (Interval(-1e-9, 0.1), ".2f", "0.00 to 0.10"),
-    ],
-)
-def test_cells_are_formatted_by_their_column(cell: Cell, number_format: str, text: str) -> None:
-    assert format_cell(cell, number_format) == text
 
 
 def test_numbers_in_sentences_have_no_exponent_and_are_never_minus_zero() -> None:

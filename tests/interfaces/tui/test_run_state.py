@@ -12,7 +12,7 @@ from cellapp.commands.next_step import stage_conclusions
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.keys import with_keys
 from cellapp.interfaces.tui.run_state import SIGNS, marks_of
-from cellapp.interfaces.tui.workspace import Workspace, load_workspace
+from cellapp.interfaces.tui.workspace import load_workspace
 from tests.approved import assert_approved
 from tests.interfaces.tui.pilot import shown_text
 from tests.interfaces.tui.states import STATES, states_table
@@ -63,13 +63,6 @@ def test_a_tick_is_no_verdict(finished_run: Path) -> None:
 def test_the_mark_of_accept_is_the_verdict(conformity: str | None, sign: str, finished_run: Path) -> None:
     held = replace(load_workspace(None, finished_run), reported=True, conformity=conformity)  # type: ignore[arg-type]
     assert SIGNS[marks_of(held, 1, 1, 0, None)["accept"].kind] == sign
-
-
-def test_what_runs_is_marked_and_what_is_next_keeps_its_own_mark() -> None:
-    marks = marks_of(Workspace(), 0, 0, 0, "plan")
-    assert marks["plan"].kind == "running"
-    assert marks["cell"].is_next
-    assert marks["cell"].kind == "next"
 
 
 def test_sentences_name_keys_and_no_commands() -> None:

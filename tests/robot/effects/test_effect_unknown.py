@@ -8,12 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellapp.robot.effects import EFFECTS, ActsOn, EffectTerm, MeasurementConditions, term_from_json, term_to_json
+from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions, term_from_json, term_to_json
 from cellapp.robot.effects.data_driven import (
     FIELD,
     FIELD_LENGTH,
     POSITION,
-    DataDrivenForm,
     Quantity,
     acted_on,
     box_of,
@@ -29,22 +28,8 @@ from tests.robot.effects.cell import EYE, by_name, chain, context_of, curve_laws
 
 CONTEXT = context_of(40)
 UNKNOWN = EFFECTS["unknown"]
-EVERY = (
-    *(f"q{j}" for j in range(1, 7)),
-    *(f"other q{j}" for j in range(1, 7)),
-    "time",
-    *(f"torque{j}" for j in range(1, 7)),
-    *(f"step{j}" for j in range(1, 7)),
-    *("dwell", "payload", "temperature", "range", "azimuth", "elevation", "incidence"),
-)
-
-
 VECTORS = ("base shift", "tool")
 ACTED_ON = tuple(acts_on.name for acts_on in acted_on(6))
-
-
-def names_of(variables):
-    return tuple(one.name for one in variables)
 
 
 def law_of(acts_on, variable, context=CONTEXT):
@@ -56,20 +41,6 @@ def law_of(acts_on, variable, context=CONTEXT):
 
 def columns(law, context=CONTEXT):
     return by_name(UNKNOWN.columns(context, law))
-
-
-@pytest.mark.parametrize("acts_on", ACTED_ON)
-def test_a_form_is_read_back_from_its_name(acts_on):
-    """The name is what JSON holds; channel and variables come back typed."""
-    for name in EVERY:
-        form = form_named(f"{acts_on}|{name}")
-        assert isinstance(form, DataDrivenForm)
-        assert (form.acts_on.name, names_of(form.inputs)) == (acts_on, (name,))
-        assert form.words == f"{acts_on} as a function of {name}"
-    pair = form_named(f"{acts_on}|q2|time")
-    assert pair is not None
-    assert names_of(pair.inputs) == ("q2", "time")
-    assert (pair.acts_on.acts_on is ActsOn.JOINT) == (pair.acts_on.joint is not None)
 
 
 def moved_of(acts_on, context, row):

@@ -189,17 +189,6 @@ def test_largest_torques_are_the_published_ones(rows, hanging, published):
     np.testing.assert_allclose(largest, published, rtol=0.02, atol=0.6)
 
 
-def test_a_payload_per_reading_replaces_the_stated_one():
-    geometry, hanging = at_station(UR10, OFF_AXIS, np.eye(4)), bodies(UR10_MASSES, UR10_CENTERS, 2.0)
-    q = np.random.default_rng(1).uniform(-3, 3, (3, 6))
-    given_loads = gravity_torques(geometry, hanging, q, UP, np.array([np.nan, 2.0, 0.0]))
-    stated = gravity_torques(geometry, hanging, q, UP)
-    np.testing.assert_allclose(given_loads[:2], stated[:2], atol=1e-12)
-    np.testing.assert_allclose(
-        given_loads[2], gravity_torques(geometry, bodies(UR10_MASSES, UR10_CENTERS), q, UP)[2], atol=1e-12
-    )
-
-
 # -- The inverse: every solution, from near by and from any rotation ---------------------------------------------------
 
 
