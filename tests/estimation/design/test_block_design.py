@@ -66,7 +66,7 @@ def test_updates_equal_fresh_inverses(seed: int) -> None:
 
 
 @given(st.integers(0, 1000))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=8, deadline=None)
 def test_exchange_never_makes_a_choice_worse(seed: int) -> None:
     candidates, criterion = problem(seed)
     values = []
