@@ -8,6 +8,7 @@ seldom but at once, so the processes that compute leave it to the others.
 from __future__ import annotations
 
 import os
+from pathlib import Path
 
 import pytest
 from xdist.scheduler import LoadFileScheduling
@@ -15,12 +16,21 @@ from xdist.workermanage import WorkerController
 
 PROCESSES = 4
 """Of all tests, for two cores: one that waits, and three that compute, as tests of screens wait half of their time."""
+_LONG_FIRST = ("interfaces", "estimation", "cell", "drivers", "commands")
+"""Folders, those with the longest files first: what is begun last shall not run on alone."""
 _NICENESS = 5
 
 
-def waiting_last(items: list[pytest.Item]) -> None:
-    """Put the tests that wait behind those that compute; else the order stays."""
-    items.sort(key=lambda item: item.get_closest_marker("waits") is not None)
+def in_order(items: list[pytest.Item]) -> None:
+    """Put the tests that wait behind those that compute, and where the two ends of the queue meet what is short."""
+
+    def place(item: pytest.Item) -> tuple[bool, int]:
+        folder = item.path.relative_to(Path(__file__).parent).parts[0]
+        rank = _LONG_FIRST.index(folder) if folder in _LONG_FIRST else len(_LONG_FIRST)
+        waits = item.get_closest_marker("waits") is not None
+        return waits, -rank if waits else rank
+
+    items.sort(key=place)
 
 
 def leave_the_processor(config: pytest.Config) -> None:
