@@ -33,8 +33,6 @@ def term(slug: str, **values: float) -> EffectTerm:
 
 
 COMPLIANCE = term("joint_compliance", compliance2=1.0 / 6e4, compliance3=1.0 / 3e4, compliance5=1.0 / 1e4)
-ECCENTRICITY = term("encoder_eccentricity", cos1q1=8e-5, sin1q1=-5e-5, sin1q4=2e-4)
-BACKLASH = term("backlash", half_play1=1e-4, half_play2=2e-4, half_play6=5e-5)
 
 
 @pytest.fixture(scope="module")
@@ -59,19 +57,6 @@ def test_commands_are_inside_the_limits_safe_and_seen(
         if command.q_compensated is not None:
             assert command.visible == visible(bodies, name, command.q_compensated[None], others)[0]
     assert sum(command.visible or False for command in commands) >= 30
-
-
-@pytest.mark.parametrize("effects", [(), (COMPLIANCE,), (COMPLIANCE, ECCENTRICITY), (BACKLASH, COMPLIANCE)])
-def test_the_model_is_inverted_with_all_its_effects(model: CellModel, effects: tuple[EffectTerm, ...]) -> None:
-    arm = with_effects(model, "left", *effects)
-    q = np.random.default_rng(0).uniform(-1.5, 1.5, (40, 6)) + np.array([0, -1.2, 0.8, -1.4, 0.9, 0])
-    q = q[np.abs(np.sin(q[:, 2])) > 0.2]
-    q = q[np.abs(np.sin(q[:, 4])) > 0.2]
-    rotation, _ = arm.flange(q)
-    back, reached = invert_model(arm, arm.predict(q), rotation, q + 1e-3)
-    assert reached.mean() > 0.9
-    assert len(q) > 10
-    np.testing.assert_allclose(arm.predict(back[reached]), arm.predict(q)[reached], atol=1e-9)
 
 
 class Waves:

@@ -34,23 +34,10 @@ from cellapp.estimation.iso9283.records import (
 )
 
 
-def test_accuracy_is_that_of_the_mean_position() -> None:
-    attained = np.array([[1.0, 2.0, 3.0], [3.0, 2.0, 1.0]])
-    commanded = np.array([1.0, 2.0, 0.0])
-    np.testing.assert_allclose(iso.accuracy_vector(attained, commanded), [1.0, 0.0, 2.0])
-    assert iso.pose_accuracy(attained, commanded) == pytest.approx(math.sqrt(5.0))
-
-
 def test_repeatability_is_the_mean_distance_and_three_deviations_of_it() -> None:
     # distances from the mean (0, 0, 0): 1, 1, 2, 2; their mean 1.5, S = sqrt(4 * 0.25 / 3) = 0.57735
     attained = np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, -2.0, 0.0]])
     assert iso.pose_repeatability(attained) == pytest.approx(1.5 + 3.0 / math.sqrt(3.0))
-
-
-def test_repeatability_of_many_cycles_is_that_of_the_maxwell_distribution() -> None:
-    attained = np.random.default_rng(1).standard_normal((200_000, 3))
-    mean, deviation = 2.0 * math.sqrt(2.0 / math.pi), math.sqrt(3.0 - 8.0 / math.pi)
-    assert iso.pose_repeatability(attained) == pytest.approx(mean + 3.0 * deviation, rel=0.01)
 
 
 def test_repeatability_of_one_cycle_is_refused() -> None:
