@@ -16,7 +16,7 @@ from xdist.workermanage import WorkerController
 
 PROCESSES = 4
 """Of all tests, for two cores: one that waits, and three that compute, as tests of screens wait half of their time."""
-_LONG_FIRST = ("interfaces", "estimation", "cell", "drivers", "commands")
+_LONG_FIRST = ("interfaces", "estimation", "drivers", "commands", "cell")
 """Folders, those with the longest files first: what is begun last shall not run on alone."""
 _NICENESS = 5
 
