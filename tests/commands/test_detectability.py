@@ -11,7 +11,6 @@ import pytest
 from typer.testing import CliRunner
 
 from cellapp.cell.planning.plan import make_stops
-from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.commands.report.sections import detectability_section
 from cellapp.commands.trials.detectability import (
@@ -20,7 +19,6 @@ from cellapp.commands.trials.detectability import (
     PlannedCell,
     TrialCell,
     detectability_at,
-    detectability_sentence,
     naming_trial,
     plan_detects,
     stored_detectability,
@@ -32,7 +30,7 @@ from cellapp.ground.executors import Gathered, PoolWork, TimeLimit
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import JobToken, Notice, Progress
 from tests.program import app
-from tests.twin import PROFILES, whole_twin
+from tests.twin import whole_twin
 from tests.verbs import plan_new_run
 
 
@@ -106,16 +104,6 @@ def test_a_large_effect_is_named_and_a_small_one_is_not(cell: TrialCell) -> None
     assert naming_trial(cell, asked.model_copy(update={"size_mm": 0.001})).accepted == ()
 
 
-def test_a_real_cell_is_simulated_as_it_stands() -> None:
-    profile = load_profile(PROFILES / "ur10-ur5.yaml")
-    assert profile.plant is None
-    name, *_ = profile.arms
-    q = tuple(tuple(row) for row in (np.array(profile.arms[name].home) + np.arange(5)[:, None] * 0.1).tolist())
-    rest: Any = {"time_s": tuple(np.arange(5.0)), "dwell_s": (1.0,) * 5}
-    found = trial_cell(PlannedCell(profile=profile, q={name: q}, step={name: q}, **rest))
-    assert 5e-3 < found.noise_rms_mm(name) < 0.1
-
-
 # -- rounds -----------------------------------------------------------------------------------------------------------
 
 TRUE_MM = {"backlash": 0.03, "target_slip": 0.1}
@@ -182,27 +170,6 @@ def test_sizes_are_those_from_which_the_search_names(result: DetectabilityResult
     assert found["pedestal_coupling"].limit == "it does not move the SMR at these stops"
     assert found["payload_compliance"].limit == "payload does not vary"
     assert found["payload_compliance"].trials == 0
-
-
-def test_the_time_is_shared_among_the_effects(planned: PlannedCell) -> None:
-    clock = [0.0]
-
-    def slow(asked: Sequence[NamingTrial], all_may_fail: bool) -> Gathered[NamingTrial]:
-        clock[0] += 2.0 * len(asked)
-        return imitation(asked, all_may_fail)
-
-    found = detectability_by(planned, 16, TimeLimit(5.0, 0.0, lambda: clock[0]), slow)
-    assert clock[0] <= 300.0
-    assert found.ended_by_time
-    assert "the time ended them" in detectability_sentence(found)
-    counts = [one.trials for arm in found.arms.values() for one in arm.effects if one.trials]
-    assert max(counts) - min(counts) <= 4
-    assert sum(counts) >= 140
-    clock[0] = 0.0
-    hurried = detectability_by(planned, 16, TimeLimit(0.1, 0.0, lambda: clock[0]), slow)
-    assert clock[0] <= 6.0
-    limits = [one.limit for arm in hurried.arms.values() for one in arm.effects]
-    assert "not tried: the time ended before" in limits
 
 
 def test_trials_that_cannot_be_computed_are_said_and_not_asked_for_again(planned: PlannedCell) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from cellapp import __version__
-from cellapp.cell.driving.cell import Cell, arm_context, open_cell
+from cellapp.cell.driving.cell import Cell, open_cell
 from cellapp.cell.driving.cell_checks import check_controllers
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
@@ -26,8 +26,6 @@ from cellapp.robot.kinematics.chain import nominal_geometry, plain_geometry
 from cellapp.robot.model.nominal import published_rows
 from drivers.arms.protocol import ArmIdentity, LinkLost
 from drivers.arms.simulated import SimulatedArm
-from drivers.arms.ur import UrArm
-from drivers.arms.ur_settings import UrSettings
 from tests.interfaces.plugins.installed import add_example, add_toys, installed, run_commands
 from tests.interfaces.plugins.line_controller import LineController, line_controllers
 from tests.twin import small_twin, with_arm, write_profile
@@ -120,21 +118,6 @@ def test_a_silent_controller_is_a_fault_of_the_hardware(run: RunFile, cell: Cell
 @pytest.fixture
 def real() -> Profile:
     return load_profile(PROFILES / "ur10-ur5.yaml")
-
-
-def test_a_profiles_ur_arm_is_opened_with_what_the_profile_says(real: Profile) -> None:
-    arm = real.arms["left"]
-    assert isinstance(arm.driver, UrSettings)
-    opened = arm.driver.open(arm_context("left", arm))
-    assert isinstance(opened, UrArm)
-    assert opened.name == "left"
-    expected = arm.driver.expectation(arm_context("left", arm))
-    assert (expected.model, expected.serial) == ("UR10", None)
-    assert expected.payload_kg == pytest.approx(0.35)
-    np.testing.assert_allclose(expected.limits.position[1], np.radians([-170.0, -10.0]))
-    np.testing.assert_allclose(expected.limits.speed[:2], np.radians([30.0, 30.0]))
-    np.testing.assert_allclose(expected.payload_center_m, [0.015, 0.007, 0.030])
-    assert expected.tcp is None
 
 
 def test_an_arm_of_seven_joints_is_no_ur(real: Profile) -> None:
