@@ -18,7 +18,7 @@ from cellapp.cell.targets.targets import load_targets
 from cellapp.estimation.calibration.least_squares import readings_noise
 from cellapp.ground.errors import InputError
 from cellapp.robot.model import CellModel
-from cellapp.robot.model.model import PosteriorSamples, posterior_from_json, posterior_to_json
+from cellapp.robot.model.model import PosteriorSamples, ReadingsNoise, posterior_from_json, posterior_to_json
 from tests.approved import assert_refused
 from tests.twin import PROFILES, small_twin
 
@@ -102,7 +102,8 @@ def test_an_example_is_compensated(run: RunFile, model: CellModel, name: str) ->
 # -- The bound of a measured rotation, where its noise differs by axis -------------------------------------------------
 
 AXES = np.array([5e-5, 6e-5, 2e-4])
-SAMPLES = PosteriorSamples((0,), np.zeros((4, 1)), (), 1e-5, float(np.sqrt(np.mean(AXES**2))), AXES)
+SAMPLES = PosteriorSamples((0,), np.zeros((4, 1)), (), ReadingsNoise(1e-5, float(np.sqrt(np.mean(AXES**2))), AXES))
+ALIKE = replace(SAMPLES, noise=SAMPLES.noise._replace(axes_rad=None))
 
 
 def test_angles_of_several_smrs_keep_their_bound() -> None:
@@ -111,16 +112,16 @@ def test_angles_of_several_smrs_keep_their_bound() -> None:
     angles = np.linalg.norm(rotations.apply(AXES * rng.standard_normal((4000, 3))), axis=1)
     true = 1e-12 * np.eye(3)[None]
     by_axis = length_bounds(_with_noise(true, SAMPLES))[1][0]
-    alike = length_bounds(_with_noise(true, replace(SAMPLES, noise_axes_rad=None)))[1][0]
+    alike = length_bounds(_with_noise(true, ALIKE))[1][0]
     assert np.mean(angles <= by_axis) == pytest.approx(0.95, abs=0.012)
     assert np.mean(angles <= alike) < 0.94
 
 
 def test_the_noise_by_axis_is_stored_and_stated_where_it_differs() -> None:
-    again = posterior_from_json(posterior_to_json(SAMPLES)).noise_axes_rad
+    again = posterior_from_json(posterior_to_json(SAMPLES)).noise.axes_rad
     assert again is not None
     np.testing.assert_array_equal(again, AXES)
-    assert "noise_axes_rad" not in posterior_to_json(replace(SAMPLES, noise_axes_rad=None))
+    assert "noise_axes_rad" not in posterior_to_json(ALIKE)
     angular = np.array([False, True])
     sigma = np.array([1e-10 * np.eye(3), np.diag(AXES**2)])
     axes_rad = readings_noise(sigma, angular).axes_rad

@@ -163,7 +163,7 @@ def draws_of(Sigma, seed):
 def test_draws_survive_json():
     drawn = draws_of(covariance(np.random.default_rng(4)), 0)
     back = posterior_from_json(json.loads(json.dumps(posterior_to_json(drawn))))
-    assert (back.columns, back.noise_m) == (drawn.columns, drawn.noise_m)
+    assert (back.columns, back.noise) == (drawn.columns, drawn.noise)
     np.testing.assert_allclose(back.geometry, drawn.geometry, rtol=1e-3)
     np.testing.assert_allclose(back.terms[0], drawn.terms[0], rtol=1e-3)
     geometry_only = PosteriorSamples.of_covariance(COLUMNS, [], np.eye(len(COLUMNS)), ReadingsNoise(0.0), (0,))
