@@ -216,19 +216,6 @@ def test_a_running_job_keeps_its_plan_and_a_cancelled_change_writes_nothing(run:
     assert not any("plan changed" in event.text for event in run.events())
 
 
-@pytest.mark.slow
-def test_changes_are_the_same_for_the_same_run(plan: PlannedStops, tmp_path: Path) -> None:
-    added = []
-    for folder in ("one", "two"):
-        with RunFile.create(
-            tmp_path / folder, quickly_planned(STOPS), lambda run: write_planned_stops(run, plan)
-        ) as run:
-            extend_plan(run, 2)
-            replan(run)
-            added.append(read_planned_stops(run))
-    same_stops(*added)
-
-
 @pytest.mark.parametrize(("proposed", "says"), [(set(), ""), ({5}, "too few stops can be reached")])
 def test_a_design_of_fewer_stops_than_asked_leaves_the_last_rows_out(
     run: RunFile, plan: PlannedStops, proposed: set[int], says: str, monkeypatch: pytest.MonkeyPatch

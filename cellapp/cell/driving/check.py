@@ -17,7 +17,7 @@ import numpy as np
 from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.measuring import APART_M, MISSED, FoundPoint, SmrSearch
 from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover
-from cellapp.cell.driving.supervision import MovingCell, Opened, moving_cell
+from cellapp.cell.driving.supervision import MovingCell, moving_cell
 from cellapp.cell.driving.target_visit import Driver
 from cellapp.cell.planning.planned_stops import tell_time, visits_s
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
@@ -84,13 +84,12 @@ def drive_check(
     *,
     confirm: Confirm | None = None,
     opened: Callable[[Cell], object] = lambda cell: None,
-    open_with: Opened | None = None,
 ) -> DrivenCheck:
     """Visit the stops with all arms together until ``test`` is decided.
 
     If the gate refuses a stop for all arms together, each goes there alone, with the others at home. ``opened`` is
     called with the open cell before anything moves; an exception from it ends the job. ``confirm`` is called before the
-    first motion. ``open_with`` opens the cell.
+    first motion.
 
     Raises
     ------
@@ -102,7 +101,7 @@ def drive_check(
         On request; the arms have been braked.
     """
     profile = task.profile
-    with moving_cell(profile, task.model, control, confirm=confirm, opened=opened, open_with=open_with) as moving:
+    with moving_cell(profile, task.model, control, confirm=confirm, opened=opened) as moving:
         repeat, mover = profile.collection.repeat, moving.mover
         repeats = 1 if repeat.precision is None else repeat.times
         search = SmrSearch(profile, task.model, mover, np.eye(4), task.excess_m, repeats, moving.hold)

@@ -34,7 +34,7 @@ from cellapp.cell.driving.motion import (
 from cellapp.cell.driving.reaction import CellStopped, StopCause, StopReaction, cause_of
 from cellapp.cell.driving.records import CollectResult, End
 from cellapp.cell.driving.stops_to_collect import StopQueue, Travel, Work, forbidden_stops, remaining_work, work_again
-from cellapp.cell.driving.supervision import CellSupervisor, Opened, opening, reacting
+from cellapp.cell.driving.supervision import CellSupervisor, reacting
 from cellapp.cell.driving.sweeping import SweepDriver, Sweeps, due_sweeps
 from cellapp.cell.planning.planned_stops import planned_time, tell_time
 from cellapp.cell.run import Outcome, RunFile, SessionEnd
@@ -475,7 +475,6 @@ def collect_run(
     accept_drift: bool = False,
     again: Collection[int] | None = None,
     confirm: Confirm | None = None,
-    opened: Opened | None = None,
     payload: Mapping[str, float] | None = None,
     hung: Hung | None = None,
 ) -> CollectResult:
@@ -484,7 +483,7 @@ def collect_run(
     If an SMR cannot be measured, this is recorded and its arm has no reading; the stop counts as done for the other
     arm, and a reserve stop is added. Every stop is reached as planned, with its own approach and dwell. If the gate
     refuses all ways to a stop, it is tried again at the end, then left out; one that discovery proposed is left out at
-    once. Once splits are drawn, new readings are for training: the validation set must not change.
+    once. Once splits are sampled, new readings are for training: the validation set must not change.
 
     With ``again`` only those stops are visited, as planned. Their new readings replace the earlier ones, which are kept
     as replaced; an arm without a new reading keeps its earlier one.
@@ -512,7 +511,7 @@ def collect_run(
     planned_s = planned_time(run.profile, work.route.take(work.stops)).total_s if work.stops else 0.0
     tell_time(control, "collect", run.profile, planned_s + sweeps_s, work.stored, work.total)
     before = replaced_counts(run)
-    sessions = _Sessions(run, control, accept_drift, confirm, opened)
+    sessions = _Sessions(run, control, accept_drift, confirm)
     for load in work.loads or (0,):
         profile = change_load(run, load, payload, hung)
         payload = None  # it describes the first load only
@@ -543,7 +542,6 @@ class _Sessions:
     control: JobControl
     accept_drift: bool
     confirm: Confirm | None
-    opened: Opened | None
     notes: list[str] = field(default_factory=list)
     standard_error_mm: Mapping[str, float] = field(default_factory=dict)
     plant: Plant | None = None
@@ -553,13 +551,11 @@ class _Sessions:
 
     def collect(self, profile: Profile, work: Work) -> End:
         """Collect stops with the load of the profile. Raise as ``collect_run``."""
-        run, control, notes, opened = self.run, self.control, self.notes, self.opened
+        run, control, notes = self.run, self.control, self.notes
         bodies = cell_bodies(profile)
-        if opened is None and self.plant is not None:
-            opened = partial(open_cell, plant=self.plant, control=control)
         if profile.plant is not None:
             profile = profile.model_copy(update={"plant": profile.plant.after(len(run.sessions()))})
-        with opening(profile, control, opened) as cell:
+        with open_cell(profile, plant=self.plant, control=control) as cell:
             self.plant = cell.plant
             if run.profile.loads > 1:
                 require_load(cell, profile)

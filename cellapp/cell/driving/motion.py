@@ -23,8 +23,8 @@ from cellapp.cell.safety.gate import (
     LOOK_S,
     MOST_APART_M,
     CellBodies,
-    PathsAtOnce,
     allowed_apart_m,
+    apart_m,
     equally_long,
     on_rows,
     predicted_smr,
@@ -327,20 +327,19 @@ class Mover:
         start = self.positions()
         period_s = min(its for _, its in paths.values())
         in_time = equally_long({name: on_rows(q, its, period_s) for name, (q, its) in paths.items()})
-        at_once = PathsAtOnce(self._bodies, in_time)
         rows = {name: np.concatenate([start[name][None], q]) for name, q in in_time.items()}
         others = {other: here for other, here in start.items() if other not in paths}
-        apart_m = allowed_apart_m(self._bodies, in_time, period_s)
-        row, refusal = refuse_paths(self._bodies, rows, others, self._cell.gate, apart_m)
+        allowed_m = allowed_apart_m(self._bodies, in_time, period_s)
+        row, refusal = refuse_paths(self._bodies, rows, others, self._cell.gate, allowed_m)
         if refusal:
             raise MotionRefused(f"refused to follow a path: at {row * period_s:.1f} s: {refusal}")
         if len(paths) == 1:
             return self._followed(start, paths, look)
 
         def look_at_all() -> None:
-            apart_m = at_once.apart_m({name: self._state(name).q for name in paths})
-            if apart_m > MOST_APART_M:
-                text = f"arms {' and '.join(paths)}: they are {apart_m * 1e3:.0f} mm apart from where both should be"
+            off_m = apart_m(self._bodies, in_time, {name: self._state(name).q for name in paths})
+            if off_m > MOST_APART_M:
+                text = f"arms {' and '.join(paths)}: they are {off_m * 1e3:.0f} mm apart from where both should be"
                 raise self.stop_cell(StopCause("gate", f"{text}; one of them was late: find out why, then continue"))
             if look is not None:
                 look()

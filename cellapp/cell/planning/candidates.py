@@ -16,6 +16,7 @@ from cellapp.cell.safety.bodies import (
     ELEVATION,
     FACING,
     RANGE,
+    ArmBodies,
     Placed,
     Sight,
     TrackerField,
@@ -29,21 +30,27 @@ from cellapp.cell.safety.bodies import (
     sight_of,
     usable_acceptance,
 )
-from cellapp.cell.safety.gate import BEAM_RADIUS, CellBodies, clear_alone, visible
+from cellapp.cell.safety.gate import BEAM_RADIUS, CellBodies, clear_alone
 from cellapp.cell.safety.shapes import ObstacleBody, beam_gaps
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import UNATTENDED, JobToken
+from cellapp.robot.kinematics.chain import flange_poses
 from cellapp.robot.kinematics.transforms import Array
 
+_ROUNDING_M = 1e-9
+"""Tolerance of distances for rounding, where exact conditions follow [m]."""
 _OBLIQUE_SHARE = 0.25
 """Share of the configurations beyond the incidence of full accuracy that is kept: they are measured worse, but without
 them effects of the incidence could not be seen."""
-_AT_ONCE = 4000
-"""Configurations drawn at once: about 60 of them are usable in the twin cell, and they fit in the cache."""
+INDEPENDENT = 4000, 1
+"""Groups drawn at once and draws in each: about 60 of 4000 single ones are usable in the twin cell."""
+COMBINED = 64, 16
+"""The same where the first joints of each draw of a group are combined with the other joints of each, so that the
+trigonometry is done once for many configurations; what is computed from them fits in the cache."""
 _MOST_SAMPLES = 800_000
 _MOST_SAMPLES_PER_CANDIDATE = 400
-"""Draws after which the search ends: four times the number that a candidate takes in the twin cell, some seconds."""
+"""Samples after which the search ends: four times the number that a candidate takes in the twin cell, some seconds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,9 +64,9 @@ class CandidatePool:
     incidence : array, shape (m,)
         Angle between beam and viewing direction of the SMR [rad].
     sampled : int
-        Configurations drawn to find them.
+        Configurations sampled to find them.
     rejected : mapping
-        Constraint -> how many of those drawn it excluded. A configuration counts for the first that excludes it, in
+        Constraint -> how many of those sampled it excluded. A configuration counts for the first that excludes it, in
         the order of the mapping.
     """
 
@@ -72,10 +79,10 @@ class CandidatePool:
 def sample_pool(
     cell: CellBodies, profile: Profile, name: str, count: int, rng: np.random.Generator, job: JobToken = UNATTENDED
 ) -> CandidatePool:
-    """Draw ``count`` candidates of an arm in random order, fewer where they are rare.
+    """Sample ``count`` candidates of an arm in random order, fewer where they are rare.
 
     Each is uniform in the joint ranges of the plan, restricted to configurations that are visible and clear; of those
-    with an incidence above ``plan.incidence`` a quarter is kept.
+    with an incidence above ``plan.incidence`` a quarter is kept. Some have joint positions in common with a few others.
 
     Raises
     ------
@@ -88,14 +95,13 @@ def sample_pool(
         lucky = rng.random(len(incidence)) < _OBLIQUE_SHARE
         return np.asarray(lucky | (incidence <= profile.plan.incidence))
 
-    found, number = list[CandidatePool](), 0
+    found, number, sampled = list[CandidatePool](), 0, 0
     low, high = joint_ranges(cell, profile, name).T
     most = max(_MOST_SAMPLES, count * _MOST_SAMPLES_PER_CANDIDATE)
-    while number < count and len(found) * _AT_ONCE < most:
+    while number < count and sampled < most:
         job.check()
-        found.append(_usable(cell, name, rng.uniform(low, high, size=(_AT_ONCE, len(low))), keep))
-        number += len(found[-1].q)
-    sampled = len(found) * _AT_ONCE
+        found.append(_usable(cell, name, _samples(low, high, COMBINED, rng), keep))
+        number, sampled = number + len(found[-1].q), sampled + found[-1].sampled
     if number < min(count, profile.plan.stops + profile.plan.reserve):
         raise InputError(shortage(cell, profile, name, number, sampled))
     order = rng.permutation(number)[:count]
@@ -104,26 +110,63 @@ def sample_pool(
     return CandidatePool(q, incidence, sampled, rejected)
 
 
-def random_configurations(cell: CellBodies, profile: Profile, name: str, rng: np.random.Generator) -> Iterator[Array]:
-    """Yield usable configurations (N,) [rad] of an arm without end, independent and uniform in the plan's joint ranges.
+def random_configurations(
+    cell: CellBodies, profile: Profile, name: str, rng: np.random.Generator, groups: tuple[int, int] = INDEPENDENT
+) -> Iterator[Array]:
+    """Yield usable configurations (N,) [rad] of an arm without end, uniform in the plan's joint ranges; independent
+    of each other unless draws are combined in ``groups``.
 
     Raises
     ------
     InputError
-        If none is found in many draws; the message says which constraint excludes them.
+        If none is found in many samples; the message says which constraint excludes them.
     """
     low, high = joint_ranges(cell, profile, name).T
     fruitless = 0
     while True:
-        q = _usable(cell, name, rng.uniform(low, high, size=(_AT_ONCE, len(low)))).q
-        yield from q[::-1]  # this order belongs to the seed: a profile gives the same plan each time
-        fruitless = 0 if len(q) else fruitless + _AT_ONCE
+        usable = _usable(cell, name, _samples(low, high, groups, rng))
+        yield from usable.q[::-1]  # this order belongs to the seed: a profile gives the same plan each time
+        fruitless = 0 if len(usable.q) else fruitless + usable.sampled
         if fruitless >= _MOST_SAMPLES:
             raise InputError(shortage(cell, profile, name, 0, fruitless))
 
 
+def _samples(low: Array, high: Array, groups: tuple[int, int], rng: np.random.Generator) -> Array:
+    """Draw ``groups`` (b, g, N) [rad] uniformly between ``low`` and ``high`` (N,); g is 1 where half of them rest."""
+    moves = np.split(high > low, [_first_joints(len(low))])
+    b, g = groups if all(half.any() for half in moves) else (math.prod(groups), 1)
+    return rng.uniform(low, high, size=(b, g, len(low)))
+
+
+def _first_joints(joints: int) -> int:
+    """Number of joints that count as the first ones."""
+    return max(1, joints // 2)
+
+
+def _facing(arm: ArmBodies, T_C_M: Array, q: Array) -> Array:
+    """Combine in each group of ``q`` (b, g, N) [rad] the first joints of each draw with the others of each.
+
+    Return the configurations (n, N) whose SMR faces a tracker at ``T_C_M`` (4, 4), but for rounding.
+    """
+    s, geometry, flat = _first_joints(q.shape[2]), arm.geometry, q.reshape(-1, q.shape[2])
+    wrist = replace(geometry, base=np.zeros(6), rows=geometry.rows[s:], reference_axis=2)
+    (R, o), (R_wrist, o_wrist) = (
+        [part.reshape(*q.shape[:2], *part.shape[1:]) for part in flange_poses(chain, own)]
+        for chain, own in zip((replace(geometry, rows=geometry.rows[:s]), wrist), np.split(flat, [s], axis=1))
+    )
+    # all in the frame of the last of the first joints: (b, g, 3)
+    tracker = np.einsum("bgac,bga->bgc", R, T_C_M[:3, 3] - o)
+    normal, smr = R_wrist @ arm.normal_F, o_wrist + R_wrist @ geometry.tool
+    squares = [np.einsum("bga,bga->bg", one, one) for one in (tracker, smr)]
+    square = squares[0][:, :, None] + squares[1][:, None] - 2.0 * (tracker @ smr.transpose(0, 2, 1))
+    towards = tracker @ normal.transpose(0, 2, 1) - np.einsum("bga,bga->bg", smr, normal)[:, None]
+    least = math.cos(usable_acceptance(arm.acceptance)) * np.sqrt(np.maximum(square, 0.0))
+    group, i, k = np.nonzero(towards > least - _ROUNDING_M)
+    return np.concatenate([q[group, i, :s], q[group, k, s:]], axis=1)
+
+
 def joint_ranges(cell: CellBodies, profile: Profile, name: str) -> Array:
-    """Return the ranges from which the joint positions of an arm are drawn, lowest and highest, shape (N, 2) [rad].
+    """Return the ranges from which the joint positions of an arm are sampled, lowest and highest, shape (N, 2) [rad].
 
     Raises
     ------
@@ -153,36 +196,35 @@ OWN_BEAM, MOUNTED = "own arm in the beam", "mounted obstacle in the beam"
 """Constraints that bodies set; each obstacle adds two more, under its name."""
 INCIDENCE = "incidence"
 """Name under which measurable configurations are counted that are left out to prefer smaller angles of incidence."""
-GATE = "gate"
-"""Name under which configurations are counted that all named constraints admit but the safety gate refuses."""
 
 
 def _usable(
-    cell: CellBodies, name: str, q: Array, keep: Callable[[Array], NDArray[np.bool_]] | None = None
+    cell: CellBodies, name: str, groups: Array, keep: Callable[[Array], NDArray[np.bool_]] | None = None
 ) -> CandidatePool:
-    """Select the usable ones of configurations ``q`` (n, N); ``keep`` decides by incidence (m,) [rad] what to keep.
+    """Select the usable ones of the combinations of groups ``groups`` (b, g, N) of draws; ``keep`` decides by incidence
+    (m,) [rad] what to keep.
 
-    The answer of the safety gate is final.
+    Most face away from the tracker: that is found first, without bodies. The constraints are those of the safety gate.
     """
-    arm, field, rows, rejected = cell.arms[name], _field(cell, name), np.arange(len(q)), dict[str, int]()
+    arm, field, sampled = cell.arms[name], _field(cell, name), groups.shape[0] * groups.shape[1] ** 2
+    q = _facing(arm, field.T_C_M, groups)
+    rows, rejected = np.arange(len(q)), {FACING: sampled - len(q)}
 
     def only(constraint: str, holds: NDArray[np.bool_]) -> NDArray[np.intp]:
-        rejected[constraint] = len(rows) - int(np.count_nonzero(holds))
+        rejected[constraint] = rejected.get(constraint, 0) + len(rows) - int(np.count_nonzero(holds))
         return rows[holds]
 
-    none = np.arange(0)  # most face away from the tracker: that is checked without bodies
-    bare = replace(arm, frames=arm.frames[none], start=arm.start[none], end=arm.end[none], radius=arm.radius[none])
-    sight = sight_of(field.T_C_M, place(bare, q))
+    placed = place(arm, q)
+    sight = sight_of(field.T_C_M, placed)
     for constraint, holds in sight_conditions(field, arm.acceptance, sight):
         rows = only(constraint, holds[rows])
     if keep is not None:
         rows = only(INCIDENCE, keep(sight.incidence[rows]))
-    placed = place(arm, q[rows])
+    placed = placed.take(rows)
     for constraint, margin in body_margins(cell, field, name).items():
         clear = margin(placed) > 0.0  # not for NaN
         rows, placed = only(constraint, clear), placed.take(clear)
-    rows = only(GATE, visible(cell, name, q[rows]) & clear_alone(cell, placed))
-    return CandidatePool(q[rows], sight.incidence[rows], len(q), rejected)
+    return CandidatePool(q[rows], sight.incidence[rows], sampled, rejected)
 
 
 def _field(cell: CellBodies, name: str) -> TrackerField:
@@ -375,13 +417,13 @@ def _percent(share: float) -> str:
 
 
 _MOST_BATCHES = 50
-"""Number of batches after which drawing ends where hardly any configuration is clear."""
+"""Number of batches after which sampling ends where hardly any configuration is clear."""
 
 
 def workspace_configurations(
     profile: Profile, cell: CellBodies, name: str, count: int, rng: np.random.Generator
 ) -> Array:
-    """Draw ``count`` configurations (count, N) [rad], uniform in the plan's joint ranges where the arm is clear.
+    """Sample ``count`` configurations (count, N) [rad], uniform in the plan's joint ranges where the arm is clear.
 
     The tracker need not see them: targets are work, not measurements. Fewer where hardly any is clear.
     """

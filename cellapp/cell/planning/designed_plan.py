@@ -2,8 +2,8 @@
 
 What the stops of a plan tell, against random plans: standard errors, predictions over the workspace, observability.
 
-Random plans have configurations as the planner with ``method: random`` draws them: uniform over those that are visible
-and clear. Approach, step and time are drawn for both kinds of plan, so that only the choice of stops differs.
+Random plans have configurations as the planner with ``method: random`` samples them: uniform over those that are
+visible and clear. Approach, step and time are sampled for both kinds of plan, so that only the choice of stops differs.
 Predictions are judged at configurations of the workspace that were not used to choose stops and that the tracker need
 not see.
 """
@@ -21,7 +21,13 @@ from typing import TypeVar, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.planning.candidates import CandidatePool, random_configurations, sample_pool, workspace_configurations
+from cellapp.cell.planning.candidates import (
+    COMBINED,
+    CandidatePool,
+    random_configurations,
+    sample_pool,
+    workspace_configurations,
+)
 from cellapp.cell.planning.information import InformationModel, even_conditions, information_model, sampled_conditions
 from cellapp.cell.planning.planned_stops import PlannedStops, joined_after
 from cellapp.cell.planning.records import ArmDesign, ErrorName, ObservabilityIndices, PlanQuality
@@ -160,7 +166,7 @@ def _pool(
     rng: np.random.Generator,
     job: JobToken,
 ) -> CandidatePool:
-    """Draw candidates of an arm and keep those within reach: the most informative ones lie at the ends of the joints'
+    """Sample candidates of an arm and keep those within reach: the most informative ones lie at the ends of the joints'
     ranges, some of them in pockets (folded, behind an obstacle, the wrong way round). All are kept if these are too few
     for ``count`` stops; only the first ones are checked if hardly any of them is hard to reach."""
     pool = sample_pool(cell, profile, name, max(profile.plan.pool_size, count), rng, job)
@@ -281,8 +287,9 @@ _LARGER = (1.0, 1.25, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0)
 """Sizes of the random plans, relative to the judged plan; the equivalent size is interpolated among them."""
 _MOST_RANDOM = 12_000
 """Upper limit of the configurations in all random plans: bounds time and memory for plans of thousands of stops."""
-_SAMPLES = 6
-"""Number of random plans of each size that are averaged: the worst point differs by 10 % from plan to plan."""
+_SAMPLES = 4
+"""Number of random plans of a size that are averaged: the worst point differs by 10 % from plan to plan. Fewer of large
+plans, which differ less: as many as could be drawn apart from each other."""
 _PARTS = (25, 50, 100, 200, 400, 800, 1600, 3200)
 """Numbers of stops after which the expected errors are stated."""
 
@@ -311,7 +318,7 @@ class DesignJudge:
     others : mapping
         Configurations of the other arms.
     rng
-        Draws random plans and conditions.
+        Samples random plans and conditions.
     """
 
     model: InformationModel
@@ -333,11 +340,11 @@ class DesignJudge:
         """Set up for plans of ``stops`` stops of an arm; ``others`` are configurations of the other arms."""
         cell = cell_bodies(profile)
         number = min(math.ceil(_LARGER[-1] * stops), max(_MOST_RANDOM, stops))
-        drawn = []
-        for q in islice(random_configurations(cell, profile, name, rng), number):
+        sampled = []
+        for q in islice(random_configurations(cell, profile, name, rng, COMBINED), number):
             job.check()
-            drawn.append(q)
-        q = np.array(drawn)
+            sampled.append(q)
+        q = np.array(sampled)
         conditions = sampled_conditions(profile, name, q, others, rng)
         model = information_model(profile, name, q, conditions, potential=False)
         targets = workspace_configurations(profile, cell, name, _QUALITY_POINTS, rng)
@@ -359,7 +366,7 @@ class DesignJudge:
         return sorted({min(round(ratio * stops), len(self.random)) for ratio in _LARGER})
 
     def rows(self, q: Array) -> Array:
-        """Compute whitened rows (n, 3, p) of stops ``q`` (n, N) [rad] under drawn conditions."""
+        """Compute whitened rows (n, 3, p) of stops ``q`` (n, N) [rad] under sampled conditions."""
         return self.model.rows(q, sampled_conditions(self.model.profile, self.model.name, q, self.others, self.rng))
 
     def errors(self, information: Array) -> Errors:
@@ -374,15 +381,15 @@ class DesignJudge:
         p = self.random.shape[2]
         found = {size: list[Errors]() for size in sizes}
         total = {size: np.zeros((p, p)) for size in sizes}
-        for _ in range(_SAMPLES):
+        for draw in range(_SAMPLES):
             order = self.rng.permutation(len(self.random))
             information, before = np.zeros((p, p)), 0
-            for size in sorted(sizes):
+            for size in sorted(size for size in sizes if not draw or size * (draw + 1) <= len(order)):
                 information = information + information_of(self.random[order[before:size]])
                 before = size
                 found[size].append(self.errors(information))
-                total[size] += information / _SAMPLES
-        return {size: (_mean(errors), total[size]) for size, errors in found.items()}
+                total[size] += information
+        return {size: (_mean(errors), total[size] / len(errors)) for size, errors in found.items()}
 
     def determined(self, information: Array) -> tuple[int, ...]:
         """Return the indices of the geometric parameters that readings with this information matrix determine.
@@ -500,7 +507,7 @@ def equal_to_random(errors: Errors, random: Mapping[int, Errors], stops: int) ->
 
     sizes = sorted(random)
     curve = np.array([three(random[size]) for size in sizes])
-    curve = np.minimum.accumulate(curve, axis=0)  # the mean of a few draws may rise again
+    curve = np.minimum.accumulate(curve, axis=0)  # the mean of a few samples may rise again
     equal = [
         float(np.exp(np.interp(-wanted, -curve[:, k], np.log(sizes))))
         for k, wanted in enumerate(three(errors).tolist())

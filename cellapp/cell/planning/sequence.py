@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,13 +14,13 @@ from cellapp.cell.planning.arrangement import Arrangement, StopSet, arrange, blo
 from cellapp.cell.planning.balance import FactorPlan
 from cellapp.cell.planning.candidates import joint_ranges
 from cellapp.cell.planning.planned_stops import Configuration, PlannedStops, Route, can_go, joined_after, straight_stops
-from cellapp.cell.planning.transit_paths import TransitPlanner
+from cellapp.cell.planning.transit_paths import Move, TransitPlanner
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.safety.gate import CellBodies, FreeMotions, clear_stops, refuse_motion
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import UNATTENDED, JobSteps, JobToken
-from cellapp.robot.kinematics.inverse import turned_into
+from cellapp.robot.kinematics.inverse import shifted_into
 from cellapp.robot.kinematics.transforms import Array
 
 _JOB = "order"
@@ -93,16 +94,16 @@ def _reached(
     profile: Profile, cell: CellBodies, name: str, q: Array, finder: TransitPlanner, given_up: list[str]
 ) -> Array:
     """Select the configurations (m, N) that the arm alone can reach, in the turns in which they are planned."""
-    rotated = nearest_turns(profile, cell, name, q)
-    reached = finder.roadmaps[name].reaches(rotated)
+    shifted = nearest_turns(profile, cell, name, q)
+    reached = finder.roadmaps[name].reaches(shifted)
     if not reached.all():
-        alone, lost = replace(cell, arms={name: cell.arms[name]}), rotated[np.argmin(reached)]
+        alone, lost = replace(cell, arms={name: cell.arms[name]}), shifted[np.argmin(reached)]
         reason = refuse_motion(alone, {name: finder.roadmaps[name].rest}, {name: lost})
         given_up.append(
             f"arm {name}: {np.sum(~reached)} of {len(q)} chosen configurations cannot be reached from home, the first:"
             f" {reason or 'within the allowance for sampled paths'}"
         )
-    return rotated[reached]
+    return shifted[reached]
 
 
 def nearest_turns(profile: Profile, cell: CellBodies, name: str, q: Array) -> Array:
@@ -113,7 +114,7 @@ def nearest_turns(profile: Profile, cell: CellBodies, name: str, q: Array) -> Ar
     home = profile.arms[name].home
     low, high = joint_ranges(cell, profile, name).T if profile.plan.ranges is not None else cell.arms[name].limits.T
     centre = 0.5 * (low + high) if home is None else np.array(home)
-    near, beyond = turned_into(q, np.stack([low, high], axis=1), centre)
+    near, beyond = shifted_into(q, np.stack([low, high], axis=1), centre)
     return np.where(beyond > 0.0, q, near)
 
 
@@ -176,8 +177,8 @@ itself is hard to reach, and a detour is sought."""
 _REPORT_EVERY = 10
 """Stops between two reports of progress."""
 _AHEAD = 100
-"""Number of stops that are looked ahead: for those whose motions the gate refuses, other steps are drawn and asked
-about in one batch. Few, as steps that are drawn together do not balance each other."""
+"""Number of stops that are looked ahead: for those whose motions the gate refuses, other steps are sampled and asked
+about in one batch. Few, as steps that are sampled together do not balance each other."""
 
 Steps = Mapping[str, Array]
 """Arm -> signed steps of the last motion to one stop (N,) [rad]."""
@@ -235,7 +236,7 @@ class LegPlanner:
         return replace(whole.take(list(legs)), legs=tuple(legs.values()))
 
     def _look_ahead(self, stops: range) -> None:
-        """Draw other steps of stops whose planned motions the gate refuses, and ask about the first of each."""
+        """Sample other steps of stops whose planned motions the gate refuses, and ask about the first of each."""
         once = [stop for stop in stops if self._arrangement.repeat_of[stop] < 0]
         refused = [stop for stop in once if not self._is_free(stop, self._planned_before(stop), self._own(stop))]
         self._others = self._other_steps(refused)
@@ -291,7 +292,7 @@ class LegPlanner:
             yield steps
 
     def _other_steps(self, stops: Sequence[int]) -> dict[int, list[Steps]]:
-        """Draw other steps of some stops, best balanced first, whose last motions begin where the arms are clear."""
+        """Sample other steps of some stops, best balanced first, whose last motions begin where the arms are clear."""
         sampled = {stop: self._factors.other_steps(self._step, stop) for stop in stops}
         if not sampled:
             return {}
@@ -361,7 +362,16 @@ _DETOUR_STEPS = 1.0
 _ROUNDS = 2
 """One repair may make another one possible."""
 _MOST_TRIED = 12
-"""Orders that the gate is asked about for one stop, the fastest ones: it accepts about one in two."""
+"""Orders that are compared for one stop, the fastest ones: the gate accepts about one in two."""
+_ASKED_TOGETHER = 4
+"""Of these, orders that the gate is asked about at once."""
+_MOVES: tuple[tuple[Literal["reverse", "shift", "exchange"], int], ...] = (
+    ("shift", 1),
+    ("shift", -1),
+    ("reverse", 0),
+    ("exchange", 0),
+)
+"""Moves of a part of the order that begins or ends at a stop."""
 
 
 def repair_order(
@@ -376,42 +386,53 @@ def repair_order(
 
     Stops stay in their blocks. ``start`` and ``end`` are where the arms are before and after (None: anywhere).
     """
-
     n, detour_s = now.rows.shape[1], _DETOUR_STEPS * stops.usual_step_s
+    order = np.arange(n + 2)  # 0 is the start, n + 1 the end
+    at = [start, *(stops.at(rows) for rows in now.rows.T), end]
+    free: dict[tuple[int, int], bool] = {}
 
-    def refused(orders: Sequence[Arrangement], first: int, end_: int) -> list[list[int]]:
-        """Return the places, of ``first`` to ``end_``, before which each order has a motion that the gate refuses."""
-        ways = []
-        for one in orders:
-            its = [stops.at(rows) for rows in one.rows.T[max(first - 1, 0) : end_ + 1]]
-            along = [*([] if first else [start]), *its, *([end] if end_ == n else [])]
-            both = enumerate(pairwise(along), first)
-            ways.append([(place, before, here) for place, (before, here) in both if before and here])
-        gate.ask(way[1:] for own in ways for way in own)
-        return [[place for place, *way in own if not gate.free(*way)] for own in ways]
+    def refused(orders: Iterable[NDArray[np.intp]]) -> list[list[int]]:
+        """Return for each part of an order the places before which the gate refuses a motion; it is asked one way."""
+        ways = [[(min(way), max(way)) for way in pairwise(one.tolist())] for one in orders]
+        new = {way: (at[way[0]], at[way[1]]) for own in ways for way in own if way not in free}
+        motions = {way: (here, there) for way, (here, there) in new.items() if here is not None and there is not None}
+        gate.ask(motions.values())
+        free.update({way: way not in motions or gate.free(*motions[way]) for way in new})
+        return [[place for place, way in enumerate(own) if not free[way]] for own in ways]
 
     ends = (np.flatnonzero(np.diff(now.block)) + 1).tolist()
     for place in (
-        min(max(one - k, 0), n - 1) for _ in range(_ROUNDS) for one in (*refused([now], 0, n)[0], *ends) for k in (0, 1)
+        min(max(one - k, 0), n - 1) for _ in range(_ROUNDS) for one in (*refused([order])[0], *ends) for k in (0, 1)
     ):
         job.check()
-        block = np.flatnonzero(now.block == now.block[place]).tolist()  # only motions to, in and from it change
-        orders = np.array([*_moves(n, place, block)])
-        rows = now.rows[:, orders[:, max(block[0] - 1, 0) : block[-1] + 2]]
-        step_s = stops.step_s(*(part.reshape(len(rows), -1) for part in (rows[..., :-1], rows[..., 1:])))
-        seconds = step_s.reshape(len(orders), -1).sum(axis=1)
-        tried = [0, *np.argsort(seconds, kind="stable")[:_MOST_TRIED].tolist()]
-        others = [now.taken(orders[k]) for k in tried]
-        detours = np.array([len(its) for its in refused(others, block[0], block[-1] + 1)])
-        now = others[int(np.argmin(seconds[tried] + detour_s * detours))]
-    return now
+        first, last = np.flatnonzero(now.block == now.block[place])[[0, -1]].tolist()
+        part = order[first : last + 3]  # only motions to, in and from the block change
+        others, seconds = _moved(stops, now.rows, part, place - first + 1)
+        best, least_s = part, seconds[0] + detour_s * len(refused([part])[0])
+        likely = np.argsort(seconds, kind="stable")[:_MOST_TRIED]
+        for some in np.array_split(likely, range(_ASKED_TOGETHER, len(likely), _ASKED_TOGETHER)):
+            hopeful = some[seconds[some] < least_s]  # others cost more, whatever the gate says
+            for k, detours in zip(hopeful.tolist(), refused(others[hopeful]), strict=True):
+                if seconds[k] + detour_s * len(detours) < least_s:
+                    best, least_s = others[k], seconds[k] + detour_s * len(detours)
+        order[first : last + 3] = best
+    return now.taken(order[1:-1] - 1)
 
 
-def _moves(n: int, place: int, block: Sequence[int]) -> Iterator[NDArray[np.intp]]:
-    """Yield the present order of n stops, then those in which a part that begins or ends at ``place`` is shifted,
-    reversed, or has its ends exchanged."""
-    yield np.arange(n)
-    for low, high in (sorted((place, other)) for other in block if other != place):
-        part = np.arange(low, high + 1)
-        for moved in (np.roll(part, 1), np.roll(part, -1), part[::-1], [high, *part[1:-1], low]):
-            yield np.concatenate([np.arange(low), moved, np.arange(high + 1, n)])
+def _moved(
+    stops: StopSet, rows: NDArray[np.intp], part: NDArray[np.intp], place: int
+) -> tuple[NDArray[np.intp], Array]:
+    """Return orders (m, k) of stops ``rows`` (K, n), counted from 1, and their times (m,) [s] without start and end.
+
+    The first is ``part`` (k,); in the others, what begins or ends at ``place`` is moved.
+    """
+    k, n = len(part), rows.shape[1]
+    other = np.arange(1, k - 1)[:, None]
+    low, high = np.minimum(place, other), np.maximum(place, other)
+    source = np.concatenate([Move(kind, low, high, shift).source(np.arange(k)) for kind, shift in _MOVES])
+    source = np.concatenate([np.arange(k)[None], source])
+    at = rows[:, np.clip(part - 1, 0, n - 1)]
+    step_s = stops.step_s(np.repeat(at, k, axis=1), np.tile(at, k)).reshape(k, k)
+    outside = (part < 1) | (part > n)
+    step_s[outside] = step_s[:, outside] = 0.0
+    return part[source], step_s[source[:, :-1], source[:, 1:]].sum(axis=1)

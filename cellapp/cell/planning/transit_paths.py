@@ -142,10 +142,12 @@ _NODES = 300
 """Nodes of a roadmap besides home: it is built in a quarter of a second."""
 _NEIGHBOURS = 12
 """Number of nearest nodes to which a node is connected if the motion is clear."""
+_NEAR_ENDS = 60
+"""Number of nodes near the ends of a path that are tried as its first and its last."""
 _PLACES = (8, 4, 12, 2, 14, 6, 10, 1, 15, 3, 13, 5, 11, 7, 9)
 """Sixteenths of a motion at which an arm is checked, the most selective first."""
 _SAMPLES = 40
-"""Upper limit of the random configurations drawn for each node."""
+"""Upper limit of the random configurations sampled for each node."""
 _AT_ONCE = 4000
 """Number of motions that are checked at once."""
 
@@ -183,8 +185,11 @@ class ArmRoadmap:
         """Find configurations (N,) between two others, on a path that takes little time; None if there is none."""
         nodes = np.concatenate([self._nodes, start[None], end[None]])
         n = len(nodes)
-        i = np.append(np.repeat([n - 2, n - 1], n - 2), n - 2)  # both ends to all nodes, and to each other
-        k = np.append(np.tile(np.arange(n - 2), 2), n - 1)
+        near = self._nearest(nodes[-2:], _NEAR_ENDS)
+        i = np.append(
+            np.repeat([n - 2, n - 1], near.shape[1]), n - 2
+        )  # both ends to the nodes near them, and to each other
+        k = np.append(near.ravel(), n - 1)
         free = self.clear_ways(nodes[i], nodes[k])
         i, k = np.concatenate([i[free], self._edges[0]]), np.concatenate([k[free], self._edges[1]])
         graph = scipy.sparse.coo_matrix((motion_s(self._arm, nodes[k] - nodes[i]) + 1e-9, (i, k)), shape=(n, n)).tocsr()
@@ -246,12 +251,12 @@ class ArmRoadmap:
     def _main_part(self) -> int:
         return int(np.argmax(np.bincount(self._part)) if self._home is None else self._part[0])
 
-    def _nearest(self, q: Array) -> NDArray[np.intp]:
-        """Return the indices of the nodes nearest in time to each configuration (n, neighbours)."""
+    def _nearest(self, q: Array, count: int = _NEIGHBOURS) -> NDArray[np.intp]:
+        """Return the indices of the nodes nearest in time to each configuration (n, count)."""
         nodes = self._nodes
         way = (nodes[None] - q[:, None]).reshape(-1, q.shape[1])
         seconds = motion_s(self._arm, way).reshape(len(q), len(nodes))
-        return np.argsort(seconds, axis=1, kind="stable")[:, :_NEIGHBOURS]
+        return np.argsort(seconds, axis=1, kind="stable")[:, :count]
 
 
 _TOUR_NEIGHBOURS = 10

@@ -64,7 +64,7 @@ class Perceptron:
         return self.hidden * (self.inputs + 1), self.outputs * (self.hidden + 1)
 
     def start(self, rng: np.random.Generator) -> Array:
-        """Draw random parameters that give signals of scale ``_BENT`` to the hidden layer, about 1 to the outputs."""
+        """Sample random parameters that give signals of scale ``_BENT`` to the hidden layer, about 1 to the outputs."""
         scales = np.repeat([_BENT * (self.inputs + 1) ** -0.5, (self.hidden + 1) ** -0.5], self.sizes)
         return np.asarray(rng.standard_normal(sum(self.sizes)) * scales)
 
@@ -208,7 +208,7 @@ def train_network(
     shapes: Sequence[NetForm] | None = None,
     fold: NDArray[np.int64] | None = None,
 ) -> Training:
-    """Train a residual network on at most ``_MOST_READINGS`` readings; draw them by ``seed`` if there are more.
+    """Train a residual network on at most ``_MOST_READINGS`` readings; sample them by ``seed`` if there are more.
 
     Parameters
     ----------
@@ -224,7 +224,7 @@ def train_network(
     shapes : sequence of NetForm, optional
         Candidates; the default depends on the number of readings.
     fold : array of int, shape (n,), optional
-        Fold of each reading; drawn by ``seed`` if not given.
+        Fold of each reading; sampled by ``seed`` if not given.
     """
     shapes = candidate_shapes(len(q)) if shapes is None else shapes
     low, high = q.min(axis=0), q.max(axis=0)
@@ -465,8 +465,8 @@ def _in_batches(
     x = network_inputs("both", low, high, q)
     y = rotate_about_z(residual / scale, -q[:, 0]) if rotates else residual / scale
     known = _known_layers(committee, q.shape[1], int(fold.max()) + 1, scale)
-    left = np.stack([y - (np.tanh(x @ W.T + b) @ V.T + c) for (W, b), (V, c) in known])
-    added, device = train_members(x, left, fold, seed=seed, steps=steps.after(training_steps(), f"{len(q)} readings"))
+    misfit = np.stack([y - (np.tanh(x @ W.T + b) @ V.T + c) for (W, b), (V, c) in known])
+    added, device = train_members(x, misfit, fold, seed=seed, steps=steps.after(training_steps(), f"{len(q)} readings"))
     members = tuple(_beside(first, second) for first, second in zip(known, added, strict=True))
     return ResidualNetwork("both", low, high, MARGIN * np.maximum(high - low, 1e-3), rotates, scale, members), device
 
@@ -552,7 +552,7 @@ def _left_out_squares(network: ResidualNetwork | None, q: Array, residual: Array
 # The committee above solves normal equations, whose time limits it to some thousand readings; its
 # evidence and its few units generalise well to configurations that were never measured. Training in batches starts from
 # it: each member of the committee gets two more hidden layers that learn its residuals, by Adam (Kingma, Ba, ICLR 2015)
-# from batches drawn from all readings outside its fold. They start at zero correction and keep the weights that
+# from batches sampled from all readings outside its fold. They start at zero correction and keep the weights that
 # predicted the fold best. The learning rate falls along a cosine to zero. The number of steps is bounded: a million
 # readings take hardly longer than a hundred thousand.
 #

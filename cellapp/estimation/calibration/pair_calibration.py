@@ -206,7 +206,7 @@ def common_stops(first: Readings, second: Readings) -> tuple[Readings, Readings]
 
 
 def pair_stops(profile: Profile, left: Readings) -> tuple[np.ndarray, np.ndarray]:
-    """Draw the rows of the common stops that identify and that validate the pair, by the profile's seed.
+    """Sample the rows of the common stops that identify and that validate the pair, by the profile's seed.
 
     The validation rows come from the arms' validate split, so that no reading is used for both.
     """

@@ -407,7 +407,7 @@ def summary_mm(mm: Array) -> ErrorSummary:
 
 @lru_cache(maxsize=1)
 def _resampled(n: int) -> Array:
-    """Draw bootstrap weights (samples, n): how often each of n is drawn in each sample; kept for the next stage."""
+    """Sample bootstrap weights (samples, n): how often each of n is sampled in each sample; kept for the next stage."""
     return np.random.default_rng(n).multinomial(n, np.full(n, 1.0 / n), size=_SAMPLES).astype(np.float64)
 
 
@@ -424,7 +424,7 @@ def distance_errors(measured: Array, computed: Array) -> Array:
 def distance_summary(measured: Array, computed: Array, weights: Array | None = None) -> ErrorSummary:
     """Compute statistics of the distance errors of all pairs; the bootstrap resamples points, as pairs share points.
 
-    ``weights`` are the bootstrap weights of the points; drawn if None.
+    ``weights`` are the bootstrap weights of the points; sampled if None.
     """
     errors = distance_errors(measured, computed)
     n = len(measured)

@@ -4,8 +4,8 @@ The model predicts each point p_i(T) from the joint positions; T maps the tracke
 present one. With measured points m_i, minimise r^T S^-1 r over T, r_i = m_i - p_i(T). S is the covariance of all
 coordinates together: noise of the tracker and of the arms, and the model's uncertainty, which the points of one
 arm share. A twist (v, w) of the frame moves a predicted point by v + w x p. The gain of the solution is
-G = (J^T S^-1 J)^-1 J^T S^-1. One draw d, n of the model's error and of the noise at the points gives one draw of the
-station's error, -G (d + n): with it, draws of later predictions keep the correlation of station and model.
+G = (J^T S^-1 J)^-1 J^T S^-1. One sample d, n of the model's error and of the noise at the points gives one sample of
+the station's error, -G (d + n): with it, samples of later predictions keep the correlation of station and model.
 
 One rigid motion of the tracker explains all points of all arms if r^T S^-1 r is as chi-squared with 3 n - 6 degrees of
 freedom allows.
@@ -114,7 +114,7 @@ class StationFit:
     chi_squared : float
     degrees_of_freedom : int
     twists : array, shape (S, 6)
-        Draws of the error of ``T_new_old``, one for each draw of the arms' posteriors.
+        Samples of the error of ``T_new_old``, one for each sample of the arms' posteriors.
     """
 
     T_new_old: Array
@@ -171,7 +171,7 @@ def fit_station(
         Arm -> standard deviation of a coordinate [m] by which readings scatter about the model beyond the covariance
         of the tracker and the model's own uncertainty: the arm's repeatability.
     seed : sequence of int
-        Seed of the draws.
+        Seed of the samples.
     rough : RoughStation or None
         Prior of the station; with it fewer than three points are enough, but the chi-squared test does not hold.
 
@@ -231,7 +231,7 @@ def displacement_m(model: CellModel, points: Points, T_new_old: Array) -> float:
 
 
 def _uncertainty(model: CellModel, points: Points, excess_m: Mapping[str, float]) -> tuple[Array, Array]:
-    """Compute the noise covariance (3 n, 3 n) [m^2] and draws of the model's error (S, 3 n) [m] at the points."""
+    """Compute the noise covariance (3 n, 3 n) [m^2] and samples of the model's error (S, 3 n) [m] at the points."""
     noise, sampled = list[Array](), list[Array]()
     for name, own in points.items():
         arm, added = model.arms[name], np.full(len(own), excess_m[name] ** 2)
@@ -621,7 +621,7 @@ def _readings(q: Array) -> Iterator[tuple[str, Array]]:
             coupled[:, 2] += sign * q[:, 1]
             yield f"q3 {words} q2 in place of q3", coupled
     for count in range(1, joints + 1):
-        for rotated in itertools.combinations(range(joints), count):
+        for flipped in itertools.combinations(range(joints), count):
             signs = np.ones(joints)
-            signs[list(rotated)] = -1.0
-            yield f"{', '.join(f'q{one + 1}' for one in rotated)} with the opposite sign", q * signs
+            signs[list(flipped)] = -1.0
+            yield f"{', '.join(f'q{one + 1}' for one in flipped)} with the opposite sign", q * signs

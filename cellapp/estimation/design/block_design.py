@@ -38,6 +38,8 @@ hardly lose: at 1 a design of 100 stops is worth 205 random ones there, at 3 or 
 throughout."""
 _ROWS_AT_ONCE = 6000
 """Batch size of rows for conversion of precision and products."""
+_ROWS_CHANGED = 300
+"""Number of changed rows after which the matrices are computed anew from them."""
 Rows = NDArray[np.intp]
 """Indices of candidates."""
 
@@ -114,23 +116,39 @@ class BlockDesign:
     """
 
     def __init__(self, information: Array, weights: Array) -> None:
-        self.covariance = inverse_psd(information)
-        """C (p, p) of the present design."""
-        self._CWC = self.covariance @ weights @ self.covariance
+        self._C = inverse_psd(information)
+        self._CWC = self._C @ weights @ self._C
+        self._steps, self._changed = np.empty((3, _ROWS_CHANGED, len(weights))), 0
+        """Rows A, S, B of the latest changes: the present ones are C - A^T S and CWC - S^T B - B^T S."""
         self.track(np.empty((0, 3, len(weights))))
+
+    @property
+    def covariance(self) -> Array:
+        """C (p, p) of the present design."""
+        self._update()
+        return self._C
+
+    def _update(self) -> None:
+        if self._changed:
+            A, S, B = self._steps[:, : self._changed]
+            half = S.T @ B
+            self._C, self._CWC, self._changed = self._C - A.T @ S, self._CWC - (half + half.T), 0
 
     def screened(self, rows: Array, count: int) -> Rows:
         """Return the indices of the ``count`` largest tr(U) among candidates ``rows`` (s, 3, p), unsorted.
 
         This is the gain to first order, in the precision of the rows: to rank the best candidates, track them.
         """
+        if count >= len(rows):
+            return np.arange(len(rows))
+        _, S, B = self._steps[:, : self._changed].astype(rows.dtype)
         CWC, squares = self._CWC.astype(rows.dtype), [np.empty(0)]
         flat = rows.reshape(-1, rows.shape[2])
         for first in range(0, len(flat), _ROWS_AT_ONCE):
             part = flat[first : first + _ROWS_AT_ONCE]
-            squares.append(np.einsum("rp,rp->r", part @ CWC, part))
-        score = np.concatenate(squares).reshape(-1, 3).sum(axis=1)
-        return np.arange(len(rows)) if count >= len(rows) else np.argpartition(-score, count)[:count]
+            square = np.einsum("rp,rp->r", part @ CWC, part)
+            squares.append(square - 2.0 * np.einsum("rk,rk->r", part @ S.T, part @ B.T) if self._changed else square)
+        return np.argpartition(-np.concatenate(squares).reshape(-1, 3).sum(axis=1), count)[:count]
 
     def track(self, rows: Array) -> None:
         """Track the gains of candidates ``rows`` (s, 3, p) from now on, instead of the previous ones.
@@ -138,26 +156,33 @@ class BlockDesign:
         Comparisons use double precision: in single precision the last digits of the processor's BLAS decide between
         nearly equal candidates, and the same seed gives other plans on other processors.
         """
+        self._update()
         self._rows = rows.astype(np.float64).reshape(-1, rows.shape[2])
-        self._V, self._U = (_products(self._rows @ matrix, self._rows) for matrix in (self.covariance, self._CWC))
+        self._V, self._U = (_products(self._rows @ matrix, self._rows) for matrix in (self._C, self._CWC))
 
     def gains(self, sign: float = 1.0) -> Array:
         """Return the decrease of tr(C W) by adding each tracked candidate (s,), with ``sign`` -1 the increase by
         removing it; valid for those in the design."""
         return trace_of_solution(self._V, self._U, sign)
 
-    def change(self, row: Array, sign: float = 1.0) -> None:
-        """Add a candidate ``row`` (3, p), or remove it with ``sign`` -1; a shallow copy made before stays as it was."""
-        row = row.astype(np.float64)
-        Cx, H = row @ self.covariance, row @ self._CWC
-        G = np.linalg.solve(np.eye(3) + sign * (Cx @ row.T), Cx)
-        B = H - 0.5 * sign * (H @ row.T) @ G
-        self.covariance = self.covariance - sign * (Cx.T @ G)
-        half = sign * (G.T @ B)
-        self._CWC = self._CWC - (half + half.T)
-        by_Cx, by_G, by_B = np.split(self._rows @ np.concatenate([Cx, G, B]).T, 3, axis=1)
-        self._V = self._V - sign * _products(by_Cx, by_G)
-        half = sign * _products(by_G, by_B)
+    def change(self, rows: Array, sign: float = 1.0) -> None:
+        """Add candidates by their ``rows`` (3 k, p), or remove them with ``sign`` -1.
+
+        A shallow copy made before may be used in place of this design.
+        """
+        if self._changed + len(rows) > _ROWS_CHANGED:
+            self._update()
+        rows, end = rows.astype(np.float64), self._changed
+        A, S, B = self._steps[:, :end]
+        Cx = rows @ self._C - (rows @ A.T) @ S
+        H = rows @ self._CWC - (rows @ S.T) @ B - (rows @ B.T) @ S
+        G = sign * np.linalg.solve(np.eye(len(rows)) + sign * (Cx @ rows.T), Cx)
+        self._changed = end + len(rows)
+        new = self._steps[:, end : self._changed]
+        new[:] = Cx, G, H - 0.5 * (H @ rows.T) @ G
+        by_Cx, by_G, by_B = np.split(self._rows @ new.reshape(-1, new.shape[2]).T, 3, axis=1)
+        self._V = self._V - _products(by_Cx, by_G)
+        half = _products(by_G, by_B)
         self._U = self._U - (half + half.transpose(0, 2, 1))
 
 
@@ -178,11 +203,11 @@ def trace_of_solution(V: Array, U: Array, sign: float) -> Array:
 #
 # Candidates are screened to first order; the best of them are updated in double precision after each change.
 
-SUBSET = 1000
+SUBSET = 600
 """Number of candidates looked at for each batch of the first choice."""
 PASSES = 3
 """Largest number of passes of exchanges, each with new weights W: as with the subset, the result improves slowly."""
-_BATCHES = 20
+_BATCHES = 12
 """Number of batches of the first choice; each draws a new subset."""
 _SMALLEST_BATCH = 20
 """Smallest batch of the first choice: with fewer stops the new subset costs more than the choice."""
@@ -191,15 +216,21 @@ _FIRST_BATCH = 5
 updates lose as many digits."""
 _SAMPLED = 4000
 """Least number of candidates for the mean information: its errors are then about a percent."""
-_FOLLOWED = 80
+_FOLLOWED = 50
 """Number of tracked candidates, or two for each stop of a batch: with fewer, the best for a later one may be missing.
 """
 _EXCHANGED_AT_ONCE = 40
 """Number of exchanges with the same tracked candidates."""
 _PROMISING = 400
 """Most promising candidates of a pass of exchanges, in addition to the number of chosen ones."""
+_NEXT = 4
+"""Of the candidates, so many times as many are looked at by the next pass."""
+_LEAST_GAIN = 0.004
+"""A pass ends where exchanges with the same tracked candidates gain less of J: the stops that follow tell more."""
 _MISSED = 0.3
 """Share of the stops that is ordered: spare ones, reserves, and those in whose place others are repeated."""
+_LIKELY_MISSED = 2
+"""For each of these, number of stops that are compared: those that can best be missed before any is."""
 _MOST_EXCHANGED = 420
 """Most exchanges of a pass; the stops of least information come first."""
 
@@ -246,9 +277,9 @@ def choose_blocks(
         return np.arange(len(candidates))
     random = candidates.prior + candidates.mean_information * count
     chosen = _greedy(candidates, count, criterion.weights(inverse_psd(random)), rng, steps)
-    best = criterion.value(candidates.covariance(chosen))
+    best, among = criterion.value(candidates.covariance(chosen)), np.arange(len(candidates))
     for _ in range(PASSES):
-        exchanged = _exchanged(candidates, chosen, criterion, steps)
+        exchanged, among = _exchanged(candidates, chosen, among, criterion, steps)
         value = criterion.value(candidates.covariance(exchanged))
         if value >= best:  # only the linear criterion improved
             break
@@ -258,12 +289,15 @@ def choose_blocks(
 
 def least_informative_last(candidates: Candidates, chosen: Rows, criterion: Criterion) -> Rows:
     """Move the stops that can best be missed, one after the other, to the end, the best one last."""
-    design, outside, last = candidates.design(chosen, criterion), np.zeros(len(chosen)), list[int]()
-    for _ in range(round(_MISSED * len(chosen))):
+    design, missed, last = candidates.design(chosen, criterion), round(_MISSED * len(chosen)), list[int]()
+    likely = np.sort(np.argsort(design.gains(-1.0), kind="stable")[: _LIKELY_MISSED * missed])
+    rows, outside = candidates.rows[chosen[likely]], np.zeros(len(likely))
+    design.track(rows)
+    for _ in range(missed):
         last.append(int(np.argmin(design.gains(-1.0) + outside)))
         outside[last[-1]] = np.inf
-        design.change(candidates.rows[chosen[last[-1]]], -1.0)
-    return np.concatenate([chosen[outside == 0.0], chosen[last[::-1]]])
+        design.change(rows[last[-1]], -1.0)
+    return np.concatenate([np.delete(chosen, likely[last]), chosen[likely[last[::-1]]]])
 
 
 def _greedy(candidates: Candidates, count: int, W: Array, rng: np.random.Generator, steps: JobSteps) -> Rows:
@@ -291,13 +325,19 @@ def _greedy(candidates: Candidates, count: int, W: Array, rng: np.random.Generat
     return np.flatnonzero(~free)
 
 
-def _exchanged(candidates: Candidates, chosen: Rows, criterion: Criterion, steps: JobSteps) -> Rows:
-    """Exchange each chosen stop, that of least information first, for the best other candidate or itself."""
+def _exchanged(
+    candidates: Candidates, chosen: Rows, among: Rows, criterion: Criterion, steps: JobSteps
+) -> tuple[Rows, Rows]:
+    """Exchange each chosen stop, that of least information first, for the best other candidate or itself.
+
+    Return the new choice and the most promising ``among`` the candidates, for the next pass.
+    """
     design = candidates.design(chosen, criterion)
     queue = chosen[np.argsort(design.gains(-1.0), kind="stable")][:_MOST_EXCHANGED]
     free = np.ones(len(candidates), dtype=bool)
     free[chosen] = False
-    promising = np.sort(design.screened(candidates.rows, _PROMISING + len(chosen)))
+    among = among[design.screened(candidates.rows[among], _NEXT * (_PROMISING + len(chosen)))]
+    promising = np.sort(among[design.screened(candidates.rows[among], _PROMISING + len(chosen))])
     for first in range(0, len(queue), _EXCHANGED_AT_ONCE):
         steps.check()
         steps(len(chosen) + first, "exchange")
@@ -307,20 +347,24 @@ def _exchanged(candidates: Candidates, chosen: Rows, criterion: Criterion, steps
         looked_at = np.concatenate([leaving, coming])
         rows, outside = candidates.rows[looked_at], np.where(free[looked_at], 0.0, -np.inf)
         design.track(rows)
+        gained = 0.0
         for place in range(len(leaving)):
             if outside[place] == 0.0:
                 continue
             before = copy(design)
             design.change(rows[place], -1.0)
             outside[place] = 0.0
-            best = int(np.argmax(design.gains() + outside))
-            outside[best] = -np.inf
+            gains = design.gains() + outside
+            best = int(np.argmax(gains))
+            outside[best], gained = -np.inf, gained + float(gains[best] - gains[place])
             if best == place:
                 design = before
             else:
                 design.change(rows[best])
         free[looked_at] = outside == 0.0
-    return np.flatnonzero(~free)
+        if gained < _LEAST_GAIN:
+            break
+    return np.flatnonzero(~free), among
 
 
 # ---------------------------------------------------------------------------------------------------------------------

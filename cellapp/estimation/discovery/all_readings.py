@@ -44,7 +44,7 @@ from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
 
 _SAMPLE_SEED = 0xA117
-"""Combined with the profile's seed, so that these draws are independent of all other draws."""
+"""Combined with the profile's seed, so that these samples are independent of all other samples."""
 
 
 def fit_to_all(found: SearchResult, data: ArmData, needed: float) -> tuple[SearchResult, ArmModel]:

@@ -262,7 +262,7 @@ hardly determine, and moves no prediction by a micrometre."""
 _LEAST_STEPS = 200
 """Steps that a fit may take at least: without a term that moves the SMR by a millimetre it follows a curved valley."""
 _SAMPLE_SEED = 0xD4A7
-"""Combined with the profile's seed, so that the draws of parameters are independent of all other draws."""
+"""Combined with the profile's seed, so that the samples of parameters are independent of all other samples."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -509,7 +509,7 @@ def _with_misfits(fit: JointFit) -> JointFit:
 
 
 def with_posterior(data: ArmData, fit: JointFit, spread: float = 1.0) -> ArmModel:
-    """Return the fitted model with draws of its parameters and the scatter of readings, ``spread`` times as wide."""
+    """Return the fitted model with samples of its parameters and the scatter of readings, ``spread`` times as wide."""
     found = fit.identification
     kept = [*range(len(found.estimated.columns)), *range(fit.layout.geometric, fit.layout.total)]
     samples = samples_of(data, fit, found.covariance[np.ix_(kept, kept)], max(found.scale, 1.0), spread)
@@ -705,7 +705,7 @@ def _fitted_model(data: ArmData, found: Identification, terms: ModelTerms, layou
 # predicted.
 
 _FOLD_SEED = 0xF01D
-"""Combined with the profile's seed, so that the folds are independent of all other draws."""
+"""Combined with the profile's seed, so that the folds are independent of all other samples."""
 
 
 def cross_validated_gain(data: ArmData, fit: JointFit, new_rows: Array) -> float:

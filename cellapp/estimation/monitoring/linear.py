@@ -132,8 +132,8 @@ def _of_arm(name: str, arm: ArmBelief) -> list[Changing]:
     found += _growth(name, arm, every)
     rms = np.sqrt(np.sum(every**2, axis=1) / len(arm.positions))
     terms = [(term, value) for term in arm.model.effects for value in range(len(term.names))]
-    for place, ((term, value), of_value) in enumerate(zip(terms, columns, strict=True), len(arm.columns)):
-        if not is_smooth(term) and value < len(term.law_names) and rms[place] * of_value.upper > LENGTH_M:
+    for place, ((term, value), own) in enumerate(zip(terms, columns, strict=True), len(arm.columns)):
+        if not is_smooth(term) and value < len(term.law_names) and rms[place] * own.upper > LENGTH_M:
             step = LENGTH_M / float(rms[place])
             found.append(Changing(name, "effect", words[place], (place,), step, term.units[value]))
     return found

@@ -191,7 +191,7 @@ def samples_of(fit: MotionFit, joints: int, at_rest: Callable[[TimedPath, Array]
         share = _SAMPLES // len(fit.recordings) + 1
         for word, chosen, most in (("identify", one.track.learnt, share), ("validate", one.track.held_out, share // 3)):
             most = min(most, math.ceil(np.count_nonzero(chosen) * one.track.stamps.period_s / _APART_S))
-            rows = _past_turns(one, thinned(np.flatnonzero(chosen), _TRIED * most))
+            rows = _past_reversals(one, thinned(np.flatnonzero(chosen), _TRIED * most))
             parts.append((word, one, thinned(rows, most)))
     n = sum(len(rows) for *_, rows in parts)
     times = [(one.track.path, one.track.controller_times(rows, one.offsets_s, one.rate)) for _, one, rows in parts]
@@ -212,7 +212,7 @@ def samples_of(fit: MotionFit, joints: int, at_rest: Callable[[TimedPath, Array]
     )
 
 
-def _past_turns(one: RecordingFit, rows: NDArray[np.intp]) -> NDArray[np.intp]:
+def _past_reversals(one: RecordingFit, rows: NDArray[np.intp]) -> NDArray[np.intp]:
     """Return the points at which no joint has just reversed; all points if there is none."""
     path, time_s = one.track.path, one.track.controller_times(rows, one.offsets_s, one.rate)
     q = path.at(time_s)[0]

@@ -96,7 +96,7 @@ def _first_prior(model: ArmModel, size: Array) -> Prior:
 
 
 _SAMPLE_SEED = 0x51D2
-"""Combined with the profile's seed, so that the draws of parameters are independent of all other draws."""
+"""Combined with the profile's seed, so that the samples of parameters are independent of all other samples."""
 
 
 def calibrate_with_prior(
@@ -173,7 +173,7 @@ def prior_result(name: str, earlier: Earlier, outcome: Updated) -> ArmPriorResul
 
 
 def stated_model(found: Posterior, seed: int) -> ArmModel:
-    """Return the model of a posterior with standard errors, covariance and draws."""
+    """Return the model of a posterior with standard errors, covariance and samples."""
     model, count = found.model, len(found.prior.columns)
     errors = np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
     names = list(ParameterSet("", model.geometry.joints, found.prior.columns).names)

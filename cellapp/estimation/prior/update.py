@@ -315,7 +315,7 @@ _MOST_READINGS = 300
 _FEW_READINGS = 100
 """Most vectors for deciding which parts are believed: a wrong part contradicts most of them."""
 _SUBSET_SEED = 0x51A7
-"""Combined with the profile's seed, so that the draw of these readings is independent of all other draws."""
+"""Combined with the profile's seed, so that the sample of these readings is independent of all other samples."""
 _BELIEVED = 0.5
 """Share of the parameters' largest size above which the drift of a part means that it is not believed."""
 _GEOMETRY_UNIT = "m, rad"

@@ -479,7 +479,7 @@ SAME_RAD = 1e-3
 """Largest difference of joint positions within one configuration: encoders read 0.04 mrad more or less."""
 NEIGHBOUR_RAD = 0.05
 """Largest difference of joint positions of neighbours: 3 degrees, far within the period of most errors of an arm. Rows
-of a plan, or drawn at random, lie some 0.4 rad apart."""
+of a plan, or sampled at random, lie some 0.4 rad apart."""
 _WIDE = 4.0
 """Radius of a neighbourhood, in distances of neighbours: most of its rows then have no neighbour outside it."""
 _FEWEST_ALIKE = 10
@@ -528,7 +528,7 @@ def beside(q: Array, learnt: Array, *, itself: bool = False) -> NDArray[np.bool_
 
 
 def folds_of(group: Groups, folds: int, generator: np.random.Generator) -> NDArray[np.int64]:
-    """Draw a fold for each row (n,), the same for the rows of a group."""
+    """Sample a fold for each row (n,), the same for the rows of a group."""
     return np.asarray((generator.permutation(int(group.max()) + 1) % folds)[group], dtype=np.int64)
 
 

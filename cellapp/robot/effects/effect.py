@@ -146,7 +146,7 @@ class Effect(ABC):
     forms: ClassVar[tuple[LawForm, ...]]
     """All forms of its law, the simplest first."""
     discrepancy_inputs: ClassVar[tuple[TermInput, ...]] = ()
-    """Drivers on which it may depend in ways that the law does not describe; if empty, the law is taken as exact."""
+    """Inputs on which it may depend in ways that the law does not describe; if empty, the law is taken as exact."""
 
     arm_bound: ClassVar[bool] = False
     """Whether it belongs to the arm itself: its parameters then remain valid with another base or tool."""

@@ -84,7 +84,6 @@ def test_every_candidate_can_be_measured(which: str) -> None:
     assert cell.field is not None
     np.testing.assert_allclose(pool.incidence, sight_of(cell.field.T_C_M, placed).incidence, atol=1e-7)
     assert pool.sampled - sum(pool.rejected.values()) >= COUNT
-    assert pool.rejected["gate"] == 0, "the named constraints are all that the gate asks for"
 
 
 def test_a_pool_may_be_smaller_than_asked_for_but_not_than_the_plan(monkeypatch: pytest.MonkeyPatch) -> None:

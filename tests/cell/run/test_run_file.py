@@ -200,6 +200,9 @@ def test_an_empty_folder_and_one_of_a_killed_creation_are_used(profile: Profile,
     with RunFile.create(folder, profile) as run:
         run.log("info", "made")
     assert list(files(folder)) == ["run.sqlite"]
+    (folder / "below" / "run.sqlite.new").mkdir(parents=True)
+    with pytest.raises(InputError, match="is not empty"):
+        RunFile.create(folder / "below", profile)
 
 
 def test_a_creation_that_fails_leaves_nothing(profile: Profile, tmp_path: Path) -> None:

@@ -10,13 +10,7 @@ import numpy as np
 import pytest
 
 from cellapp.estimation.calibration import network_training
-from cellapp.estimation.calibration.network_training import (
-    NetForm,
-    candidate_shapes,
-    learn,
-    require_learner,
-    train_network,
-)
+from cellapp.estimation.calibration.network_training import NetForm, learn, require_learner, train_network
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Network
 from cellapp.ground.progress import Cancelled, JobSteps, JobToken
@@ -120,12 +114,6 @@ def test_the_file_keeps_every_bit_and_needs_no_torch(trained):
         [sys.executable, "-c", program], input=text, capture_output=True, text=True, timeout=60, check=True
     )
     assert result.stdout.strip() == f"{training.network.correct(np.zeros((1, 6))).tolist()} False"
-
-
-def test_the_network_grows_with_the_readings_up_to_a_limit():
-    hidden = [candidate_shapes(readings)[0].hidden for readings in (10, 60, 200, 300, 12_000, 1_000_000)]
-    assert hidden == sorted(hidden)
-    assert hidden[2] < hidden[3] < hidden[4] == hidden[5]
 
 
 # -- A network from all readings in batches: used where it predicts left-out blocks of time better, and only there -----

@@ -303,7 +303,7 @@ def test_a_real_arm_hides_a_periodic_error_of_its_joints(tmp_path):
     assert discovery.model.uncertainty(outside)[0] > 2.0 * discovery.model.uncertainty(inside)[0]
 
 
-def test_a_search_ends_on_request_before_the_rivals_of_the_next_effect(plan):
+def test_a_search_ends_on_request_before_the_alternatives_of_the_next_effect(plan):
     cancel, said = JobToken(), []
 
     def report(done, words):

@@ -160,7 +160,7 @@ def _with_term(problem: SearchProblem, state: SearchState, scores: Sequence[LawS
 
 
 def _holds(problem: SearchProblem, state: SearchState, score: LawScore) -> bool:
-    """Return whether a term explains a visible share of what is left, also on left-out readings and beside discrepancy
+    """Return whether a term explains a visible share of the residuals, also on left-out readings and beside discrepancy
     terms.
 
     The residual of a slightly wrong law often looks like a law of other variables.
@@ -175,7 +175,7 @@ def _holds(problem: SearchProblem, state: SearchState, score: LawScore) -> bool:
 def _share_beyond_noise(state: SearchState, score: LawScore) -> float:
     """Return the share of the remaining sum of squares beyond the noise that a term explains beyond chance.
 
-    If no uncertainty is stated, the noise is unknown: the share is then that of all that is left.
+    If no uncertainty is stated, the noise is unknown: the share is then that of all residuals.
     """
     remaining = scatter(state.data, state.fit)
     beyond_noise = 1.0 if remaining is None else 1.0 - min(remaining.ratio**-2, 1.0)
