@@ -174,7 +174,7 @@ def posterior(model: ArmModel, measured: Quantities, prior: Prior, *, weighed: b
         errors = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
         step = found - values
         moved = float(np.max(np.abs(step) / errors))
-        if moved >= enough:
+        if moved >= _SETTLED:
             step = shortened(_FIT, step, partial(_loss, model, measured, prior, values))
         values = values + step
         model = with_values(model, prior, values)
