@@ -790,7 +790,7 @@ def posterior_from_json(content: Mapping[str, Any]) -> PosteriorSamples:
     geometry = _array(content["geometry"])
     terms = tuple(_array(one).reshape(len(geometry), -1) for one in content["terms"])
     noise = {key: content[f"noise_{key}"] for key in ReadingsNoise._fields if f"noise_{key}" in content}
-    stated = {key: _array(value) if isinstance(value, list) else float(value) for key, value in noise.items()}
+    stated: dict[str, Any] = {key: _array(one) if isinstance(one, list) else float(one) for key, one in noise.items()}
     return PosteriorSamples(tuple(content["columns"]), geometry, terms, ReadingsNoise(**stated))
 
 
