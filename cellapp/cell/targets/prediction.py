@@ -279,7 +279,7 @@ def predicted_rotations(
     targets in the tracker frame with the nominal base, NaN if any will do. The other arguments are as in
     ``prediction.predictions``.
     """
-    if arm.posterior is None or arm.posterior.noise_rad is None:
+    if arm.posterior is None or arm.posterior.noise.rad is None:
         return [None] * len(q)
     found: list[PredictedRotation | None] = []
     for begin in range(0, len(q), AT_ONCE):
@@ -293,7 +293,7 @@ def predicted_rotations(
         off = _off_mrad(arm, q_nominal[rows], stated, nominal_M[rows])
         measured = _with_noise(true, arm.posterior)
         found += _rotation_judged(
-            model, true, measured, arm.posterior.noise_rad, off, tolerances_mrad[begin : begin + AT_ONCE]
+            model, true, measured, arm.posterior.noise.rad, off, tolerances_mrad[begin : begin + AT_ONCE]
         )
     return found
 
@@ -324,11 +324,11 @@ def _with_noise(true: Array, posterior: PosteriorSamples) -> Array:
     With several SMRs the axes of the noise depend on the viewing direction. They are assumed along the principal axes
     of ``true``, largest with largest, which gives the widest bound.
     """
-    assert posterior.noise_rad is not None
-    if posterior.noise_axes_rad is None:
-        return np.asarray(true + posterior.noise_rad**2 * np.eye(3))
+    assert posterior.noise.rad is not None
+    if posterior.noise.axes_rad is None:
+        return np.asarray(true + posterior.noise.rad**2 * np.eye(3))
     values, vectors = np.linalg.eigh(true)
-    return np.asarray(np.einsum("nab,nb,ncb->nac", vectors, values + posterior.noise_axes_rad**2, vectors))
+    return np.asarray(np.einsum("nab,nb,ncb->nac", vectors, values + posterior.noise.axes_rad**2, vectors))
 
 
 def _rotation_judged(

@@ -174,7 +174,7 @@ class OpenElasticity:
         basis, sizes, _ = np.linalg.svd(free / np.maximum(np.linalg.norm(free, axis=0), 1e-300), full_matrices=False)
         basis = basis[:, sizes > _DEPENDENT * sizes[0]]
         A, y = A - basis @ (basis.T @ A), y - basis @ (basis.T @ y)
-        variance = arm.posterior.noise_m**2
+        variance = arm.posterior.noise.m**2
         return cls(*_averaged(A.T @ A / variance, A.T @ y / variance, joint, kind), largest_nm)
 
 

@@ -76,7 +76,7 @@ class HeldOutArm:
         predicted = model.uncertainty(self.readings.q) * 1e3
         if not predicted.any():
             return None
-        noise_mm = 0.0 if model.posterior is None else model.posterior.noise_m * 1e3
+        noise_mm = 0.0 if model.posterior is None else model.posterior.noise.m * 1e3
         return predicted, position_errors(self.readings.p_M, self._predict(model)) * 1e3, noise_mm
 
     def _predict(self, model: ArmModel) -> Array:

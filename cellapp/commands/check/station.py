@@ -71,7 +71,7 @@ def excess_of_readings(run: RunFile, model: CellModel) -> dict[str, float]:
     stored = read_calibration(run, read_stages(run))
     found = {}
     for name, arm in model.arms.items():
-        noise_m = 0.0 if arm.posterior is None else arm.posterior.noise_m
+        noise_m = 0.0 if arm.posterior is None else arm.posterior.noise.m
         if arm.posterior is None and stored is not None:
             result = stored.arms[name]
             noise_m = result.validate_[result.best_stage].position_mm.rms * 1e-3 / math.sqrt(3.0)

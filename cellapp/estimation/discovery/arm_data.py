@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import accumulate
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -369,7 +370,7 @@ class ArmData(Quantities):
         if stated is not None and its.angular is not None:
             sigma = with_excess(stated, excess_m**2, its.angular, found.excess_rad**2)
         geometry_only = replace(model, effects=(), network=None, geometry=found.geometry)
-        own = {"parameter_set": found.estimated, "prior_sigma": found.prior_sigma}
+        own: dict[str, Any] = {"parameter_set": found.estimated, "prior_sigma": found.prior_sigma}
         return cls(**{**vars(its), "sigma": sigma}, profile=profile, model=geometry_only, **own)
 
     @cached_property

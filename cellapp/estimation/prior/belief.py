@@ -114,6 +114,8 @@ _STEPS = 100
 """Most Gauss-Newton steps, each with the scatter of the one before; three to five are usual, 30 with few readings."""
 _SETTLED = 1e-3
 """Change of the values in the last step, as a share of their standard errors."""
+_SETTLED_WEIGHED = 0.1
+"""The same where the weights stay: each step is then some thirty times as short as the last."""
 _SCATTER_SETTLED = 0.01
 """Relative change of the scatter in the last step."""
 _LEAST_SCATTER_M = 1e-6
@@ -162,7 +164,7 @@ def posterior(model: ArmModel, measured: Quantities, prior: Prior, *, weighed: b
     The weights follow from the scatter about the model, unless the readings are ``weighed`` already. No step raises the
     sum of squares, priors included. Raise ``NotConverged`` if values and scatter do not settle.
     """
-    scatter = (0.0, 0.0) if weighed else (_FIRST_SCATTER_M, _FIRST_SCATTER_RAD)
+    scatter, enough = ((0.0, 0.0), _SETTLED_WEIGHED) if weighed else ((_FIRST_SCATTER_M, _FIRST_SCATTER_RAD), _SETTLED)
     values = values_of(model.geometry, model.effects, prior.columns, prior.reference)
     for _ in range(_STEPS):
         if not weighed:
@@ -181,7 +183,7 @@ def posterior(model: ArmModel, measured: Quantities, prior: Prior, *, weighed: b
         if not weighed:
             scatter = _scatter(measured, residuals_M, float(np.sum(covariance * normal.gram)))
         settled = all(abs(now - then) <= _SCATTER_SETTLED * then for now, then in zip(scatter, before, strict=True))
-        if moved < _SETTLED and settled:
+        if moved < enough and settled:
             break
     else:
         raise NotConverged.of(_FIT, f"{_STEPS} steps were not enough; the last was {moved:.1e} standard errors long")

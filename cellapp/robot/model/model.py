@@ -359,7 +359,7 @@ class ArmModel:
         """
         noise = self.noise(q)
         if conditions is not None and conditions.angular is not None:
-            of_rotations = None if self.posterior is None else self.posterior.noise_rad
+            of_rotations = None if self.posterior is None else self.posterior.noise.rad
             noise[conditions.angular] = of_rotations or 0.0
         return np.asarray(np.hypot(self.uncertainty(q, conditions), noise))
 
@@ -371,9 +371,9 @@ class ArmModel:
         q = configurations(q, self.geometry.joints)
         if self.posterior is None:
             return np.zeros(len(q))
-        if self.posterior.noise_parts is None:
-            return np.full(len(q), self.posterior.noise_m)
-        own_m, *joints_rad = self.posterior.noise_parts
+        if self.posterior.noise.parts is None:
+            return np.full(len(q), self.posterior.noise.m)
+        own_m, *joints_rad = self.posterior.noise.parts
         _, by_joint = joint_jacobian(self.geometry, JointAngles.of(q))
         return np.asarray(np.sqrt(own_m**2 + np.einsum("cjn,j->n", by_joint**2, np.square(joints_rad)) / 3.0))
 
@@ -701,17 +701,13 @@ class PosteriorSamples:
         Deviations of the geometric parameters, in their units.
     terms : tuple of array, shape (S, m)
         Deviations of the parameters of each term of the model, in the order of the term's names.
-    noise_m, noise_rad, noise_axes_rad, noise_parts
-        See ``ReadingsNoise``.
+    noise : ReadingsNoise
     """
 
     columns: tuple[int, ...]
     geometry: Array
     terms: tuple[Array, ...]
-    noise_m: float
-    noise_rad: float | None = None
-    noise_axes_rad: Array | None = None
-    noise_parts: Array | None = None
+    noise: ReadingsNoise
 
     @classmethod
     def of_covariance(
@@ -740,13 +736,14 @@ class PosteriorSamples:
         ends = np.cumsum([len(columns), *sizes])
         parts = np.split(sampled, ends[:-1], axis=1)
         geometry = parts[0][:, [*range(len(columns)), *(columns.index(first) for _, first in tied)]]
-        return cls((*columns, *(column for column, _ in tied)), geometry, tuple(parts[1:]), *noise)
+        return cls((*columns, *(column for column, _ in tied)), geometry, tuple(parts[1:]), noise)
 
     def of_columns(self, end: int) -> PosteriorSamples:
         """Keep the samples of geometric parameters before ``end`` and of all terms; drop the noise of orientations."""
         kept = [place for place, column in enumerate(self.columns) if column < end]
         columns = tuple(self.columns[place] for place in kept)
-        return replace(self, columns=columns, geometry=self.geometry[:, kept], noise_rad=None, noise_axes_rad=None)
+        noise = self.noise._replace(rad=None, axes_rad=None)
+        return replace(self, columns=columns, geometry=self.geometry[:, kept], noise=noise)
 
     def displacements(self, geometry: Geometry, terms: Sequence[EffectTerm], context: EffectContext) -> Array:
         """Compute deviations (S, n, 3) of SMR [m] or orientation [rad] from the prediction, to first order."""
@@ -784,23 +781,17 @@ def posterior_to_json(posterior: PosteriorSamples) -> dict[str, Any]:
         "columns": list(posterior.columns),
         "geometry": _rounded(posterior.geometry),
         "terms": [_rounded(one) for one in posterior.terms],
-        "noise_m": posterior.noise_m,
-        **({} if posterior.noise_rad is None else {"noise_rad": posterior.noise_rad}),
-        **{
-            key: values.tolist()
-            for key in ("noise_axes_rad", "noise_parts")
-            if (values := getattr(posterior, key)) is not None
-        },
+        **{f"noise_{key}": plain_data(value) for key, value in posterior.noise._asdict().items() if value is not None},
     }
 
 
 def posterior_from_json(content: Mapping[str, Any]) -> PosteriorSamples:
     """Parse an object from ``posterior_to_json``."""
-    sd, geometry = float(content["noise_m"]), _array(content["geometry"])
+    geometry = _array(content["geometry"])
     terms = tuple(_array(one).reshape(len(geometry), -1) for one in content["terms"])
-    noise_rad = float(content["noise_rad"]) if "noise_rad" in content else None
-    axes, parts = (_array(content[key]) if key in content else None for key in ("noise_axes_rad", "noise_parts"))
-    return PosteriorSamples(tuple(content["columns"]), geometry, terms, sd, noise_rad, axes, parts)
+    noise = {key: content[f"noise_{key}"] for key in ReadingsNoise._fields if f"noise_{key}" in content}
+    stated: dict[str, Any] = {key: _array(one) if isinstance(one, list) else float(one) for key, one in noise.items()}
+    return PosteriorSamples(tuple(content["columns"]), geometry, terms, ReadingsNoise(**stated))
 
 
 def _rounded(values: Array) -> list[list[float]]:

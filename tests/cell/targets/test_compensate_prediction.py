@@ -12,7 +12,7 @@ from cellapp.cell.targets.prediction import length_bounds, outside_notes, predic
 from cellapp.cell.targets.ranges import ConditionRanges, MeasuringNoise, unknown_conditions
 from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
 from cellapp.robot.model import ArmModel, CellModel
-from cellapp.robot.model.model import PosteriorSamples
+from cellapp.robot.model.model import PosteriorSamples, ReadingsNoise
 
 HOME = np.array([0.0, -1.2, 0.8, -1.4, 0.9, 0.0])
 NOTHING = MeasurementConditions()
@@ -28,7 +28,7 @@ def arm(model: CellModel) -> ArmModel:
     """An arm with geometry alone, and draws of its base's height and of one joint zero."""
     own = model.arms["left"]
     draws = np.random.default_rng(0).standard_normal((64, 2)) * np.array([2e-5, 1e-5])
-    return replace(own, effects=(), network=None, posterior=PosteriorSamples((2, 16), draws, (), 1.5e-5))
+    return replace(own, effects=(), network=None, posterior=PosteriorSamples((2, 16), draws, (), ReadingsNoise(1.5e-5)))
 
 
 def configurations(n: int) -> np.ndarray:

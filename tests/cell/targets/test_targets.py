@@ -17,7 +17,7 @@ from cellapp.cell.targets.prediction import _with_noise, length_bounds
 from cellapp.cell.targets.targets import load_targets
 from cellapp.ground.errors import InputError
 from cellapp.robot.model import CellModel
-from cellapp.robot.model.model import PosteriorSamples
+from cellapp.robot.model.model import PosteriorSamples, ReadingsNoise
 from tests.approved import assert_refused
 from tests.twin import PROFILES, small_twin
 
@@ -89,7 +89,7 @@ def test_an_example_is_compensated(run: RunFile, model: CellModel, name: str) ->
 # -- The bound of a measured rotation, where its noise differs by axis -------------------------------------------------
 
 AXES = np.array([5e-5, 6e-5, 2e-4])
-SAMPLES = PosteriorSamples((0,), np.zeros((4, 1)), (), 1e-5, float(np.sqrt(np.mean(AXES**2))), AXES)
+SAMPLES = PosteriorSamples((0,), np.zeros((4, 1)), (), ReadingsNoise(1e-5, float(np.sqrt(np.mean(AXES**2))), AXES))
 
 
 def test_angles_of_several_smrs_keep_their_bound() -> None:
@@ -98,6 +98,7 @@ def test_angles_of_several_smrs_keep_their_bound() -> None:
     angles = np.linalg.norm(rotations.apply(AXES * rng.standard_normal((4000, 3))), axis=1)
     true = 1e-12 * np.eye(3)[None]
     by_axis = length_bounds(_with_noise(true, SAMPLES))[1][0]
-    alike = length_bounds(_with_noise(true, replace(SAMPLES, noise_axes_rad=None)))[1][0]
+    without_axes = replace(SAMPLES, noise=SAMPLES.noise._replace(axes_rad=None))
+    alike = length_bounds(_with_noise(true, without_axes))[1][0]
     assert np.mean(angles <= by_axis) == pytest.approx(0.95, abs=0.012)
     assert np.mean(angles <= alike) < 0.94

@@ -396,7 +396,7 @@ def test_stated_intervals_of_orientations_hold(both):
     sd = model.measured_uncertainty(its.readings.q, its.conditions)
     assert 0.90 < np.mean(np.abs(left[rows]) < 1.96 * sd[rows, None]) < 0.99
     assert model.posterior is not None
-    assert model.posterior.noise_rad == pytest.approx(SIGMA_RAD, rel=0.15)
+    assert model.posterior.noise.rad == pytest.approx(SIGMA_RAD, rel=0.15)
 
 
 def test_commands_put_the_flange_where_base_and_links_turn_it(both):

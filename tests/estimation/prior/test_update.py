@@ -50,7 +50,7 @@ def error_um(arm: SimulatedArm, outcome: Updated) -> float:
 
 def test_readings_without_information_return_the_prior(arm: SimulatedArm, earlier: Earlier) -> None:
     readings = replace(arm.readings(20, seed=3), sigma_m=np.full(20, 1e4))
-    measured = replace(measured_quantities(readings), sigma=readings.sigma_m)
+    measured = replace(measured_quantities(readings), sigma=np.asarray(readings.sigma_m))
     belief = earlier.belief
     model = first_model(arm.profile, "left", measured, belief)
     prior = belief.prior(model.nominal, np.zeros(0))
@@ -67,7 +67,7 @@ def test_readings_without_information_return_the_prior(arm: SimulatedArm, earlie
 def test_a_belief_that_knows_nothing_gives_the_geometry_of_today(arm: SimulatedArm) -> None:
     bare = replace(arm, model=replace(arm.model, effects=()))
     readings = bare.readings(40, seed=4)
-    measured = replace(measured_quantities(readings), sigma=readings.sigma_m)
+    measured = replace(measured_quantities(readings), sigma=np.asarray(readings.sigma_m))
     weak = weak_priors(6)
     columns = tuple(column for column in candidate_columns(arm.model.nominal) if is_own(column, 6))
     sigma = np.array([weak[parameter_names(6)[column]] for column in columns])
