@@ -503,7 +503,8 @@ def push(
     require_same_arms(profile, model, commands)
     if not any(command.q_compensated is not None for command in commands):
         raise InputError("push: none of the targets can be commanded: " + commands[0].refusal)
-    total = len(dict.fromkeys(command.target.name for command in commands))
+    by_target = grouped((command.target.name, command) for command in commands)
+    judge, agreement, total, stopped = judge or Judge(profile), Agreement(), len(by_target), ""
     with moving_cell(profile, model, control, confirm=confirm, opened=opened) as moving:
         visit = TargetVisit(
             model=model,
@@ -517,23 +518,15 @@ def push(
         if verify:
             sent = [{one.arm: q} for one in commands for q in (one.q_nominal, one.q_compensated) if q is not None]
             tell_time(control, "push", profile, visits_s(profile, sent), 0, total)
-        stopped = _visit_all(visit, judge or Judge(profile), commands, visited)
+        for done, (name, own) in enumerate(by_target.items()):
+            visit.hold()
+            moving.mover.slow_start(done)
+            control.tell("push", done, total, name)
+            found = visit.to(own)
+            visited.add(found, judge, verify=verify)
+            agreement.add(found.contradictions())
+            if stopped := agreement.broken(ended=done + 1 == total):  # measurements contradict the model
+                break
         moving.mover.go_home()
     control.tell("push", total, total, "done")
     return visited.result(stopped)
-
-
-def _visit_all(visit: TargetVisit, judge: Judge, commands: Sequence[Command], visited: Visited) -> str:
-    """Visit all targets in order; return why the rest was left out if measurements contradict the model, else empty."""
-    by_target = grouped((command.target.name, command) for command in commands)
-    agreement, total = Agreement(), len(by_target)
-    for done, (name, own) in enumerate(by_target.items()):
-        visit.hold()
-        visit.driver.mover.slow_start(done)
-        visit.control.tell("push", done, total, name)
-        found = visit.to(own)
-        visited.add(found, judge, verify=visit.verify)
-        agreement.add(found.contradictions())
-        if stopped := agreement.broken(ended=done + 1 == total):
-            return stopped
-    return ""
