@@ -21,7 +21,7 @@ from cellapp.cell.driving.iso9283.programme import (
     ChosenCube,
     CubeSearch,
     Visit,
-    align_points,
+    align,
     alignment_configurations,
     arm_programme,
     choose_cube,
@@ -418,7 +418,7 @@ class _Session:
                 except (MotionRefused, TrackerError) as error:
                     _raise_if_not_ready(error)
                     self.findings.notes.append(f"arm {name}: a position to find its base: {error}")
-            self.findings.alignments[name] = align_points(profile, name, np.array(reached), points)
+            self.findings.alignments[name] = align(profile, name, np.array(reached), points)
             self.mover.go_home([name])
         return published_cell(profile, self.findings.alignments)
 
