@@ -375,16 +375,24 @@ class JobToken:
     ----------
     listener : callable
         Takes the events, one at a time.
+    clock : callable
+        Returns the time [s], for estimates.
     """
 
-    def __init__(self, listener: Listener = ignore) -> None:
-        self._event = threading.Event()
-        self._listener = listener
-        self._timed = with_eta(lambda event: self._listener(event))
+    def __init__(self, listener: Listener = ignore, clock: Callable[[], float] = time.monotonic) -> None:
+        self._event, self._telling = threading.Event(), threading.RLock()
+        self._listener, self._clock = listener, clock
+        self._paces: dict[str, _Pace] = {}
 
     def tell(self, job: str, done: int, total: int, note: str = "", detail: Detail | None = None) -> None:
-        """Tell those who follow an event of the job, as in ``Progress``."""
-        self._timed(Progress(job, done, total, note, detail=detail))
+        """Tell those who follow an event of the job, as in ``Progress``, with the estimated time to its end.
+
+        The estimate is the rate of its own recent steps; steps that were done before the first event do not count.
+        """
+        event = Progress(job, done, total, note, detail=detail)
+        with self._telling:
+            eta_s = self._paces.setdefault(job, _Pace()).eta_s(event, self._clock())
+            self._listener(replace(event, eta_s=eta_s))
 
     @contextmanager
     def heard_by(self, hear: Callable[[Progress, Listener], None]) -> Iterator[None]:
@@ -434,32 +442,17 @@ class JobSteps:
         return JobSteps(lambda done, words: self(first + done, f"{what}: {words}"), self.job)
 
 
+UNTOLD = JobSteps()
+"""Steps that nobody follows or cancels."""
+UNATTENDED = JobToken()
+"""A job that nobody follows or ends."""
+
+
 # -- How fast a job goes on: the estimated time to its end, and lines that tell it where there is no terminal ---------
 
 _RECENT_STEPS = 20
 """Steps of which the rate is taken: enough to smooth single long ones, few enough to follow a change of pace."""
 
-
-def with_eta(listener: Listener, clock: Callable[[], float] = time.monotonic) -> Listener:
-    """Return a listener that passes events on, one at a time, and estimates ``eta_s`` where an event has none.
-
-    The estimate is the rate of the job's own recent steps; steps that were done before the first event do not count.
-    """
-    paces: dict[str, _Pace] = {}
-    lock = threading.RLock()
-
-    def listen(event: Progress) -> None:
-        with lock:
-            eta_s = paces.setdefault(event.job, _Pace()).eta_s(event, clock())
-            listener(event if event.eta_s is not None else replace(event, eta_s=eta_s))
-
-    return listen
-
-
-UNTOLD = JobSteps()
-"""Steps that nobody follows or cancels."""
-UNATTENDED = JobToken()
-"""A job that nobody follows or ends."""
 
 _SILENCE_S = 60.0
 """How long a job without a terminal is silent at most, while it has something to tell."""

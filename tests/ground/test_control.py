@@ -24,7 +24,7 @@ import cellapp
 from cellapp.ground.control import Aborted, JobControl, Stopped
 from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.ground.executors import ComputingLost, PoolWork, gather
-from cellapp.ground.progress import Cancelled, JobToken, Progress, eta_words, in_lines, with_eta
+from cellapp.ground.progress import Cancelled, JobToken, Progress, eta_words, in_lines
 from cellapp.ground.results import Record
 
 
@@ -341,11 +341,11 @@ class Clocked:
     def __init__(self) -> None:
         self.now_s = 100.0
         self.events: list[Progress] = []
-        self._listen = with_eta(self.events.append, lambda: self.now_s)
+        self._job = JobToken(self.events.append, lambda: self.now_s)
 
     def emit(self, now_s: float, event: Progress) -> float | None:
         self.now_s = now_s
-        self._listen(event)
+        self._job.tell(event.job, event.done, event.total, event.note)
         return self.events[-1].eta_s
 
 

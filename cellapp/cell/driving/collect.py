@@ -21,16 +21,7 @@ from cellapp.cell.driving.cell_checks import Hung, change_load, check_controller
 from cellapp.cell.driving.diagnosis import require_links
 from cellapp.cell.driving.live_model import AirTemperature, LiveModel
 from cellapp.cell.driving.measuring import References, SmrMeasurement
-from cellapp.cell.driving.motion import (
-    Confirm,
-    MotionRefused,
-    Mover,
-    PointAtRest,
-    missed_sentence,
-    point_measured,
-    record_sentence,
-    state_of,
-)
+from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover, PointAtRest, point_measured
 from cellapp.cell.driving.reaction import CellStopped, StopCause, StopReaction, cause_of
 from cellapp.cell.driving.records import CollectResult, End
 from cellapp.cell.driving.stops_to_collect import StopQueue, Travel, Work, forbidden_stops, remaining_work, work_again
@@ -377,7 +368,7 @@ class CollectSession:
             except (TargetLost, WrongTarget, Unstable) as error:
                 outcomes.append(Outcome(stop, name, "not measured", str(error)))
                 self._emit(PointMissed(stop, name, str(error)))
-                self._note(missed_sentence(outcomes[-1]))
+                self._note(f"stop {stop + 1}, arm {name}: not measured: {error}")
                 continue
             air_c = point.temperature_c if self._air is None else temperature_c
             rows[name] = self._reading(stop, name, states[name], point, air_c)
@@ -435,9 +426,9 @@ class CollectSession:
 
     def _record(self, kind: str, reason: str) -> None:
         """Record a request or a suspension in the run; if writing fails, note it: the arms still need attention."""
-        text = record_sentence(kind, reason)
+        text = f"{kind}: {reason}"
         level = "info" if kind in _HARMLESS else "warning"
-        if state_of(kind) is None:
+        if kind == "reference":  # any other kind tells a new state of the job
             self._emit(LogReport(level, text))
         try:
             self.run.record_request(self.number, kind, reason)

@@ -1,7 +1,4 @@
-"""Motion and measurement in an open cell: the gate checks every motion; a fault of one arm stops all arms.
-
-Reports of the steps of collecting: the same details and sentences live and from a stored run.
-"""
+"""Motion and measurement in an open cell: the gate checks every motion; a fault of one arm stops all arms."""
 
 from __future__ import annotations
 
@@ -16,7 +13,6 @@ from numpy.typing import NDArray
 
 from cellapp.cell.driving.cell import Cell, answers_of_all
 from cellapp.cell.driving.reaction import CellStopped, StopCause, StopReaction, cause_of
-from cellapp.cell.run import Outcome
 from cellapp.cell.run.measurement_order import MOVED_RAD
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.safety.gate import (
@@ -33,47 +29,13 @@ from cellapp.cell.safety.gate import (
 from cellapp.estimation.readings import Readings, coordinate_uncertainty
 from cellapp.ground.errors import CellappError, InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import (
-    Detail,
-    JobState,
-    JobToken,
-    LogReport,
-    MotionBegun,
-    MotionEnded,
-    PointMeasured,
-    SweepLive,
-)
+from cellapp.ground.progress import Detail, JobToken, LogReport, MotionBegun, MotionEnded, PointMeasured, SweepLive
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.model.nominal import joint_rates
 from drivers.arms.path_checks import driven
 from drivers.arms.protocol import ArmError, ArmState, ArmTimeout, MotionStopped, PathFollower
 from drivers.arms.recording import JointRecord, SettlingArm, recording
 from drivers.trackers.protocol import Halted, NotReady, Point, TargetLost, TrackerError, Unstable, WrongTarget
-
-_STATES: dict[str, JobState | None] = {
-    "pause": "paused",
-    "suspend": "suspended",
-    "resume": "running",
-    "give up": "running",
-    "abort": "aborted",
-    "reference": None,
-}
-"""Job state that each recorded kind begins, None if it changes nothing; any other kind is a cause of a halt."""
-
-
-def state_of(kind: str) -> JobState | None:
-    """Return the state of the job after a record of ``kind`` in a session; None if it did not change."""
-    return _STATES.get(kind, "stopped")
-
-
-def record_sentence(kind: str, reason: str) -> str:
-    """Return the log line of a session record."""
-    return f"{kind}: {reason}"
-
-
-def missed_sentence(outcome: Outcome) -> str:
-    """Return the log line of an SMR that was not measured."""
-    return f"stop {outcome.stop + 1}, arm {outcome.arm}: {outcome.kind}: {outcome.reason}"
 
 
 def sweep_sentence(live: SweepLive) -> str:

@@ -25,11 +25,12 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, astuple, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.motion import WRONG_TARGET_M, Mover, sweep_sentence
@@ -65,18 +66,8 @@ from drivers.trackers.protocol import (
     stream_of,
 )
 
-
-@dataclass(frozen=True)
-class _Counts:
-    """Received and missing points and samples, as in ``SweepLive``."""
-
-    points: int = 0
-    points_missing: int = 0
-    samples: int = 0
-    samples_missing: int = 0
-
-    def __add__(self, other: _Counts) -> _Counts:
-        return _Counts(*map(sum, zip(astuple(self), astuple(other), strict=True)))
+_COUNTED = ("points", "points_missing", "samples", "samples_missing")
+"""What is counted of a sweep, as in ``SweepLive``."""
 
 
 @dataclass
@@ -113,7 +104,7 @@ class LiveSweep:
     tell: Callable[[SweepLive], None]
     _packets: deque[Packet] = field(default_factory=deque)
     _part: _Part | None = None
-    _ended: _Counts = _Counts()
+    _ended: NDArray[np.intp] = field(default_factory=lambda: np.zeros(len(_COUNTED), np.intp))
     """Counts of the parts that have ended."""
     _arrived_s: float | None = None
 
@@ -136,13 +127,13 @@ class LiveSweep:
         points = counts_so_far(part.points, part.first_s, part.latest_s, self.interval_s)
         age_s = None if self._arrived_s is None else max(part.clock.now_s() - self._arrived_s, 0.0)
         now = replace(self.so_far, state="moving", done_s=part.reached_s(), point_age_s=age_s)
-        self._say(now, self._ended + _Counts(*points, *part.arm.recorded()))
+        self._say(now, self._ended + np.array((*points, *part.arm.recorded()), np.intp))
 
     def end(self, joints: JointRecord, track: Track, reached_s: float | None) -> None:
         """End a recorded part: at ``reached_s`` of the motion, where the beam broke, or at its end if None."""
         if self._part is not None:
             self._take(self._part)
-        counts = _Counts(len(track.p_M), track.missing(self.interval_s), len(joints.time_s), joints.missing)
+        counts = [len(track.p_M), track.missing(self.interval_s), len(joints.time_s), joints.missing]
         self.ended(counts, reached_s)
 
     def calculated(self, record: SweepRecord) -> None:
@@ -152,12 +143,12 @@ class LiveSweep:
         self.so_far = replace(self.so_far, lost_beams=int(np.sum(np.diff(seen.astype(int)) < 0)))
         joints_s = record.joint_time_s
         samples = counts_so_far(len(joints_s), joints_s[0], joints_s[-1], float(np.median(np.diff(joints_s))))
-        self.ended(_Counts(int(seen.sum()), int((~seen).sum()), *samples))
+        self.ended([int(seen.sum()), int((~seen).sum()), *samples])
 
-    def ended(self, counts: _Counts = _Counts(), reached_s: float | None = None) -> None:
+    def ended(self, counts: Sequence[int] = (0,) * len(_COUNTED), reached_s: float | None = None) -> None:
         """Report a part that ended at ``reached_s``, or at the end of the motion if None."""
         broken = reached_s is not None
-        self._ended += counts
+        self._ended = self._ended + counts
         now = replace(
             self.so_far,
             state="searching" if broken else "done",
@@ -183,9 +174,10 @@ class LiveSweep:
         """Note how far the newest of the points (n, 3) [m] is."""
         self.so_far = replace(self.so_far, distance_m=float(np.linalg.norm(p_M[-1])))
 
-    def _say(self, now: SweepLive, counts: _Counts) -> None:
+    def _say(self, now: SweepLive, counts: NDArray[np.intp]) -> None:
         """Report the progress of the sweep with the counts."""
-        self.so_far = replace(now, **asdict(counts))
+        counted_now: dict[str, Any] = dict(zip(_COUNTED, counts.tolist(), strict=True))
+        self.so_far = replace(now, **counted_now)
         self.tell(self.so_far)
 
 

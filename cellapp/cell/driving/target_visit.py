@@ -282,7 +282,7 @@ class TargetVisit:
         before_M: dict[str, Array] = {}
         for _ in range(self.rounds):
             last = found.rounds[-1]
-            names = not_explained(last, before_M)
+            names = unexplained(last, list(last), before_M)
             if not names:
                 return
             self.hold()
@@ -292,7 +292,7 @@ class TargetVisit:
                     if len(last) < len(first):
                         return
                     found.rounds[0] = last
-                if not (names := significant(last, list(last) if len(last) == 2 else names)):
+                if not (names := unexplained(last, list(last) if len(last) == 2 else names, {}, _SIGNIFICANT)):
                     return
                 corrected = {
                     name: corrected_command(self.model.arms[name], its.sent, its.error_M, first[name].sent)
@@ -348,10 +348,9 @@ REPEATS = 3
 it was selected because it was large."""
 _NOISE_95 = 7.815
 """95 % quantile of chi-squared with three degrees of freedom; a target above it is measured again."""
-_NOISE_99 = 11.345
-"""99 % quantile; if the mean of new measurements is above it, it is corrected."""
-_NORMAL_99 = 2.576
-"""Two-sided 99 % quantile."""
+_SIGNIFICANT = (11.345, 2.576)
+"""99 % quantiles of chi-squared and, two-sided, of the normal distribution; if the mean of new measurements is above
+them, it is corrected."""
 _ONE_SIDED_95 = 1.645
 """One-sided 95 % quantile of the normal distribution [standard deviations]."""
 _FINEST_M = 1e-6
@@ -392,33 +391,26 @@ def corrected_command(arm: ArmModel, q: Array, error_M: Array, first_q: Array) -
     return np.asarray(corrected[0])
 
 
-def not_explained(rest: Rest, before_M: Mapping[str, Array]) -> list[str]:
-    """Return the arms to correct: those with an error that noise does not explain, or both if only the distance has.
+def unexplained(
+    rest: Rest,
+    names: Sequence[str],
+    before_M: Mapping[str, Array],
+    limits: tuple[float, float] = (_NOISE_95, NORMAL_95),
+) -> list[str]:
+    """Return the arms of ``names`` with an error that noise does not explain; all of them if only the distance has one.
 
-    ``before_M`` is the covariance (3, 3) [m^2] of the measurement from which an arm's command was corrected.
+    ``before_M`` is the covariance (3, 3) [m^2] of the measurement from which an arm's command was corrected. ``limits``
+    are quantiles, of chi-squared for an arm and two-sided for the distance: by default those of 95 %.
     """
     noise_M = {name: one.noise_M + before_M.get(name, 0.0) for name, one in rest.items()}
-    names = [name for name, one in rest.items() if not explained_by_noise(one.error_M, noise_M[name])]
-    if names or len(rest) != 2:
-        return names
-    first, second = rest.values()
-    line_M = second.wanted_M - first.wanted_M
-    off_m = distance_error_m(first, second)
-    return [] if distance_explained_by_noise(off_m, line_M, sum(noise_M.values(), np.zeros((3, 3)))) else list(rest)
-
-
-def significant(rest: Rest, names: Sequence[str]) -> list[str]:
-    """Return the arms of ``names`` with an error significant at the 1 % level; ``names`` if only the distance's is.
-
-    ``rest`` has the means of new measurements.
-    """
-    own = [name for name in names if not explained_by_noise(rest[name].error_M, rest[name].noise_M, _NOISE_99)]
+    own = [name for name in names if not explained_by_noise(rest[name].error_M, noise_M[name], limits[0])]
     if own or len(rest) != 2:
         return own
     first, second = rest.values()
-    line_M, noise_M = second.wanted_M - first.wanted_M, first.noise_M + second.noise_M
-    clear = not distance_explained_by_noise(distance_error_m(first, second), line_M, noise_M, _NORMAL_99)
-    return list(names) if clear else []
+    line_M, together_M = second.wanted_M - first.wanted_M, sum(noise_M.values(), np.zeros((3, 3)))
+    return (
+        [] if distance_explained_by_noise(distance_error_m(first, second), line_M, together_M, limits[1]) else [*names]
+    )
 
 
 def is_better(now: Rest, before: Rest) -> bool:
@@ -511,7 +503,8 @@ def push(
     require_same_arms(profile, model, commands)
     if not any(command.q_compensated is not None for command in commands):
         raise InputError("push: none of the targets can be commanded: " + commands[0].refusal)
-    total = len(dict.fromkeys(command.target.name for command in commands))
+    by_target = grouped((command.target.name, command) for command in commands)
+    judge, agreement, total, stopped = judge or Judge(profile), Agreement(), len(by_target), ""
     with moving_cell(profile, model, control, confirm=confirm, opened=opened) as moving:
         visit = TargetVisit(
             model=model,
@@ -525,23 +518,15 @@ def push(
         if verify:
             sent = [{one.arm: q} for one in commands for q in (one.q_nominal, one.q_compensated) if q is not None]
             tell_time(control, "push", profile, visits_s(profile, sent), 0, total)
-        stopped = _visit_all(visit, judge or Judge(profile), commands, visited)
+        for done, (name, own) in enumerate(by_target.items()):
+            visit.hold()
+            moving.mover.slow_start(done)
+            control.tell("push", done, total, name)
+            found = visit.to(own)
+            visited.add(found, judge, verify=verify)
+            agreement.add(found.contradictions())
+            if stopped := agreement.broken(ended=done + 1 == total):  # measurements contradict the model
+                break
         moving.mover.go_home()
     control.tell("push", total, total, "done")
     return visited.result(stopped)
-
-
-def _visit_all(visit: TargetVisit, judge: Judge, commands: Sequence[Command], visited: Visited) -> str:
-    """Visit all targets in order; return why the rest was left out if measurements contradict the model, else empty."""
-    by_target = grouped((command.target.name, command) for command in commands)
-    agreement, total = Agreement(), len(by_target)
-    for done, (name, own) in enumerate(by_target.items()):
-        visit.hold()
-        visit.driver.mover.slow_start(done)
-        visit.control.tell("push", done, total, name)
-        found = visit.to(own)
-        visited.add(found, judge, verify=visit.verify)
-        agreement.add(found.contradictions())
-        if stopped := agreement.broken(ended=done + 1 == total):
-            return stopped
-    return ""

@@ -659,15 +659,21 @@ def _stamp_faults(time_s: NDArray[np.float64], dated: bool) -> Iterator[Implausi
 
 def _speed_unit(columns: Columns, names: tuple[str, ...], q: NDArray[np.float64]) -> Iterator[Implausible]:
     """Check that speeds agree with the joint positions: in rad/s, not in degrees per second."""
-    qd = _matrix(columns, names)
-    step = np.diff(columns["time_s"])
-    steady = (step > 0.0) & (step < _GAP * np.median(step[step > 0.0]))
-    change = np.diff(q, axis=0)[steady]
-    by_speed = 0.5 * (qd[1:] + qd[:-1])[steady] * step[steady, np.newaxis]
-    ratio = math.sqrt(float((by_speed**2).sum()) / max(float((change**2).sum()), 1e-300))
+    ratio = _speed_ratio(columns["time_s"], q, _matrix(columns, names))
     if not 0.1 < ratio < 10.0 and ratio > 0.0:
         hint = "; are these degrees a second? Then name the columns qd1_deg, ..." if 40.0 < ratio < 80.0 else ""
         yield Implausible(None, "qd1", f"the speeds are {ratio:.3g} times those of q1..; expected rad/s{hint}")
+
+
+def _speed_ratio(time_s: NDArray[np.float64], q: NDArray[np.float64], qd: NDArray[np.float64]) -> float:
+    """Return the rms of stated speeds (n, N) over that of the motion of joint positions (n, N)."""
+    step = np.diff(time_s)
+    usual = float(np.median(step[step > 0.0])) if (step > 0.0).any() else math.inf
+    steady = (step > 0.5 * usual) & (step < _GAP * usual)
+    moved = np.diff(q, axis=0)[steady]
+    by_speed = 0.5 * (qd[1:] + qd[:-1])[steady] * step[steady, np.newaxis]
+    known = np.isfinite(moved) & np.isfinite(by_speed)
+    return math.sqrt(float((by_speed[known] ** 2).sum()) / max(float((moved[known] ** 2).sum()), 1e-300))
 
 
 _DEG = math.pi / 180.0
@@ -778,12 +784,8 @@ def _speeds(
     names = [(f"q{speed[2:]}", speed) for speed in speeds if f"q{speed[2:]}" in positions]
     if not names:
         return []
-    step = np.diff(columns["time_s"]) * factors.get("time_s", 1.0)
-    steady = step > 0.5 * float(np.median(step[step > 0.0])) if (step > 0.0).any() else step > 0.0
-    rates = np.array([np.diff(columns[q])[steady] * factors.get(q, 1.0) / step[steady] for q, _ in names])
-    stated = np.array([columns[qd][1:][steady] for _, qd in names])
-    known = np.isfinite(rates) & np.isfinite(stated)
-    ratio = math.sqrt(float(np.sum(stated[known] ** 2)) / max(float(np.sum(rates[known] ** 2)), 1e-300))
+    q, qd = (np.column_stack([columns[one] * factors.get(one, 1.0) for one in its]) for its in zip(*names))
+    ratio = _speed_ratio(columns["time_s"] * factors.get("time_s", 1.0), q, qd)
     if not 40.0 < ratio < 80.0:
         return []
     factors |= dict.fromkeys(speeds, _DEG)

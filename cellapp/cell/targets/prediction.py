@@ -190,8 +190,8 @@ def _judged(spread: Extent, noise: Array, excess: Array, tolerances_mm: Sequence
     """
     low, _ = length_bounds(spread.whole + np.multiply.outer(excess, np.eye(3)))
     _, within = length_bounds(spread.whole + noise)
-    parts = {name: _coordinate_mm(value) for name, value in vars(spread).items()}
-    parts["noise"], whole = _coordinate_mm(noise), _coordinate_mm(spread.whole + noise)
+    parts = {name: _component(value) for name, value in vars(spread).items()}
+    parts["noise"], whole = _component(noise), _component(spread.whole + noise)
     return [
         Prediction(
             uncertainty_mm=float(whole[k]),
@@ -209,8 +209,8 @@ def _size(covariance: Array) -> Array:
     return np.asarray(np.trace(covariance, axis1=1, axis2=2))
 
 
-def _coordinate_mm(covariance: Array) -> Array:
-    """Return the root mean square standard deviation (n,) [mm] of a coordinate."""
+def _component(covariance: Array) -> Array:
+    """Return the root mean square standard deviation (n,) [mm, mrad] of a coordinate or a component of rotation."""
     return np.asarray(np.sqrt(_size(covariance) / 3.0) * 1e3)
 
 
@@ -341,22 +341,18 @@ def _rotation_judged(
 ) -> list[PredictedRotation | None]:
     """Return predictions from covariances (n, 3, 3) [rad^2]: of the model, with unknown conditions, and measured."""
     low, high = length_bounds(true)[0] * 1e3, length_bounds(measured)[1] * 1e3
+    whole_mrad, model_mrad = _component(measured), _component(model)
     return [
         PredictedRotation(
             nominal_mrad=off,
-            uncertainty_mrad=_component_mrad(measured[k]),
-            model_mrad=_component_mrad(model[k]),
+            uncertainty_mrad=float(whole_mrad[k]),
+            model_mrad=float(model_mrad[k]),
             noise_mrad=noise_rad * 1e3,
             within_mrad=float(high[k]),
             verdict=predicted_verdict(float(low[k]), float(high[k]), None if off is None else tolerance),
         )
         for k, (off, tolerance) in enumerate(zip(off_mrad, tolerances, strict=True))
     ]
-
-
-def _component_mrad(covariance: Array) -> float:
-    """Return the root mean square standard deviation [mrad] of a component from a covariance (3, 3) [rad^2]."""
-    return float(np.sqrt(np.trace(covariance) / 3.0) * 1e3)
 
 
 # -- Pose of one flange in another's frame: both arms' uncertainties, and the lever of the first one's rotation --------

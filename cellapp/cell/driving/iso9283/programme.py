@@ -148,26 +148,20 @@ def alignment_configurations(
     return np.asarray(liked[chosen])
 
 
-def align_points(profile: Profile, name: str, q: Array, points: Sequence[Point]) -> Alignment:
-    """Call ``align`` with measured points, including their orientations if measured."""
-    R_M_S = None
-    if any(one.quaternion_M is not None for one in points):
-        R_M_S = rotations_of([np.full(4, np.nan) if one.quaternion_M is None else one.quaternion_M for one in points])
-    return align(profile, name, q, np.array([one.p_M for one in points]).reshape(-1, 3), R_M_S)
+def align(profile: Profile, name: str, q: Array, points: Sequence[Point]) -> Alignment:
+    """Fit base and SMR offset of an arm to points measured at ``q`` (n, N) [rad].
 
-
-def align(profile: Profile, name: str, q: Array, p_M: Array, R_M_S: Array | None = None) -> Alignment:
-    """Fit base and SMR offset of an arm to positions ``p_M`` (n, 3) [m] at ``q`` (n, N) [rad].
-
-    The rotation of a probe on the flange is the mean of its orientations ``R_M_S`` (n, 3, 3) relative to the fit.
-    Raise ``InputError`` for fewer than six positions.
+    The rotation of a probe on the flange is the mean of the orientations, where measured, relative to the fit. Raise
+    ``InputError`` for fewer than six positions.
     """
     if len(q) < FEWEST_POSITIONS:
         raise InputError(
             f"iso9283: arm {name}: {counted(len(q), 'position was', 'positions were')} measured to find its base"
             f" and SMR, at least {FEWEST_POSITIONS} are needed; look for a covered SMR, or calibrate the cell first"
         )
-    arm = profile.arms[name]
+    arm, p_M, R_M_S = profile.arms[name], np.array([one.p_M for one in points]), None
+    if any(one.quaternion_M is not None for one in points):
+        R_M_S = rotations_of([np.full(4, np.nan) if one.quaternion_M is None else one.quaternion_M for one in points])
     start = start_from_nominal(nominal_arm(arm), q, p_M, tool_unknown=arm.smr.offset == "unknown")
     columns = base_and_tool(start.joints)
     found = identify(start, q, p_M, parameter_set=ParameterSet("base and SMR", start.joints, columns))
@@ -650,12 +644,14 @@ def directional_visits(arm: ArmProgramme, cycles: int) -> Iterator[Visit]:
 def drift_visits(arm: ArmProgramme, cycles: int) -> Iterator[Visit]:
     """Yield one group of the drift test: cycles P5 to P1, measured only at P1."""
     for cycle in range(cycles):
-        yield from _exercise(arm, cycle, arm.place("drift", "P1"))
+        yield from exercise_visits(arm, cycle, arm.place("drift", "P1"))
 
 
-def exercise_visits(arm: ArmProgramme) -> Iterator[Visit]:
-    """Yield one cycle between two groups of the drift test."""
-    yield from _exercise(arm, 0, None)
+def exercise_visits(arm: ArmProgramme, cycle: int = 0, at_end: IsoPlace | None = None) -> Iterator[Visit]:
+    """Yield one cycle, as between two groups of the drift test, measured only ``at_end``."""
+    for position in CYCLE:
+        place = at_end if position == CYCLE[-1] else None
+        yield Visit({arm.name: arm.q[position, _before(position)]}, place, cycle)
 
 
 def paired_visits(
@@ -690,12 +686,6 @@ def pose_pairs(
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
-
-
-def _exercise(arm: ArmProgramme, cycle: int, at_end: IsoPlace | None) -> Iterator[Visit]:
-    for position in CYCLE:
-        place = at_end if position == CYCLE[-1] else None
-        yield Visit({arm.name: arm.q[position, _before(position)]}, place, cycle)
 
 
 def _passing(arm: ArmProgramme, position: str, before: str) -> Visit:

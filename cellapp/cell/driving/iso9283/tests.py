@@ -21,7 +21,7 @@ from cellapp.cell.driving.iso9283.programme import (
     ChosenCube,
     CubeSearch,
     Visit,
-    align_points,
+    align,
     alignment_configurations,
     arm_programme,
     choose_cube,
@@ -51,7 +51,6 @@ from cellapp.estimation.iso9283.evaluate import (
     MeasuredVisit,
     Measurements,
     PathRuns,
-    PathTrack,
     cooperative_characteristics,
     directional_characteristics,
     distance_characteristics,
@@ -244,94 +243,6 @@ _ENDS = 0.02
 """Fraction of the path left out at each end: the arm is at rest there, and no plane is crossed."""
 
 
-@dataclass(frozen=True, eq=False)
-class PathTests:
-    """Drives the paths of one arm after the other in an open cell; ``hold`` is called between motions.
-
-    ``series`` is as in ``PathRuns``.
-    """
-
-    profile: Profile
-    model: CellModel
-    paths: PathDriver
-    findings: IsoFindings
-    hold: Callable[[], None]
-    speed_share: float
-    cycles: int
-    series: float = 0.0
-
-    def drive(self, name: str, commands: tuple[IsoCommands, ...]) -> None:
-        """Drive all paths of an arm with each kind of commands; record why one cannot be driven."""
-        refusal = self._refusal(name)
-        specs = refusal or path_specs(name, self.findings.cubes[name], self.speed_share)
-        if isinstance(specs, str):
-            self.findings.refuse(name, ["path"], specs)
-            return
-        arm = self.paths.cell.arms[name]
-        assert isinstance(arm, PathFollower)
-        for spec in specs:
-            plan = plan_path(self.profile, self.model, spec, arm.path_period_s)
-            for kind in commands:
-                reason = self._drive(spec, plan, kind)
-                if reason:
-                    self.findings.refuse(name, ["path"], f"{spec.name}, {kind} commands: {reason}")
-
-    @property
-    def _interval_s(self) -> float:
-        """Interval of points [s], inversely proportional to the speed: each path has as many points at each speed."""
-        return INTERVAL_S / self.speed_share
-
-    def _refusal(self, name: str) -> str:
-        """Return why no path of an arm can be measured; empty if paths can."""
-        if stream_of(self.paths.cell.tracker) is None:
-            return "this tracker's driver cannot measure a moving SMR"
-        if not isinstance(self.paths.cell.arms[name], PathFollower):
-            return f"the driver of arm {name} cannot follow a stream of joint positions"
-        return ""
-
-    def _drive(self, spec: PathSpec, plan: PathPlan, kind: IsoCommands) -> str:
-        """Drive one path over all cycles; return why not, empty if it was driven."""
-        chosen = _chosen(plan, kind)
-        if isinstance(chosen, str):
-            return chosen
-        trajectory, path = chosen
-        s, commanded, tangents = places_along(path)
-        tracker = tracker_covariance(self.profile.tracker, path.positions(np.zeros(1)))[0]
-        programme = self.findings.programmes.get((spec.arm, kind))
-        runs = PathRuns(
-            arm=spec.arm,
-            commands=kind,
-            name=spec.name,
-            speed=spec.speed,
-            length=path.length,
-            commanded_M=commanded,
-            tangents_M=tangents,
-            s=s,
-            tracks=[],
-            tracker=self.profile.tolerances.covariance_factor * tracker,
-            frame=np.zeros((3, 3)) if programme is None else programme.frame["P1"],
-            wanted=self.cycles,
-            slowed=trajectory.slowed,
-            series=self.series,
-        )
-        self.findings.paths.append(runs)
-        try:
-            for _ in range(self.cycles):
-                runs.tracks.append(self._run(spec.arm, trajectory, path))
-        except (MotionRefused, TrackerError) as error:
-            runs.problems.append(str(error))
-        return ""
-
-    def _run(self, name: str, trajectory: Trajectory, path: CartesianPath) -> PathTrack:
-        def begin() -> None:
-            self.hold()
-            for q in (_run_up(trajectory.q), trajectory.q[0]):
-                self.paths.mover.go_home_unless_clear(name, q)
-                self.paths.mover.move({name: q})
-
-        return self.paths.drive(name, trajectory, begin, path.positions(np.zeros(1))[0], self._interval_s)
-
-
 def _run_up(q: Array) -> Array:
     """Return a position (N,) before the first row of ``q`` (m, N) [rad], against each joint's direction of motion."""
     moved = np.abs(q - q[0]) > 1e-5
@@ -507,7 +418,7 @@ class _Session:
                 except (MotionRefused, TrackerError) as error:
                     _raise_if_not_ready(error)
                     self.findings.notes.append(f"arm {name}: a position to find its base: {error}")
-            self.findings.alignments[name] = align_points(profile, name, np.array(reached), points)
+            self.findings.alignments[name] = align(profile, name, np.array(reached), points)
             self.mover.go_home([name])
         return published_cell(profile, self.findings.alignments)
 
@@ -610,24 +521,79 @@ class _Session:
         return found
 
     def _paths(self, speed: float, series: float = 0.0) -> None:
-        """Run the path tests of one arm after the other, the others at home."""
-        model, names = self.findings.model, list(self.findings.cubes)
-        assert model is not None
-        paths = PathTests(
-            profile=self.task.profile,
-            model=model,
-            paths=PathDriver(self.cell, self.mover, self.reaction, self.control),
-            findings=self.findings,
-            hold=self._hold,
-            speed_share=speed,
-            cycles=wanted_cycles("path", self.task.cycles),
-            series=series,
-        )
+        """Run the path tests of one arm after the other, the others at home; ``series`` is as in ``PathRuns``."""
+        names = list(self.findings.cubes)
         for done, name in enumerate(names):
             self.control.tell("paths", done, len(names), f"arm {name}")
             self.mover.go_home()
-            paths.drive(name, self.task.commands)
+            self._paths_of(name, speed, series)
         self.control.tell("paths", len(names), len(names), "done")
+
+    def _paths_of(self, name: str, speed: float, series: float) -> None:
+        """Drive all paths of an arm with each kind of commands; record why one cannot be driven."""
+        model, arm = self.findings.model, self.cell.arms[name]
+        assert model is not None
+        specs = path_specs(name, self.findings.cubes[name], speed)
+        if stream_of(self.cell.tracker) is None:
+            specs = "this tracker's driver cannot measure a moving SMR"
+        elif not isinstance(arm, PathFollower):
+            specs = f"the driver of arm {name} cannot follow a stream of joint positions"
+        if isinstance(specs, str) or not isinstance(arm, PathFollower):
+            self.findings.refuse(name, ["path"], str(specs))
+            return
+        for spec in specs:
+            plan = plan_path(self.task.profile, model, spec, arm.path_period_s)
+            for kind in self.task.commands:
+                chosen = _chosen(plan, kind)
+                if isinstance(chosen, str):
+                    self.findings.refuse(name, ["path"], f"{spec.name}, {kind} commands: {chosen}")
+                else:
+                    self._drive_path(spec, kind, *chosen, speed, series)
+
+    def _drive_path(
+        self,
+        spec: PathSpec,
+        kind: IsoCommands,
+        trajectory: Trajectory,
+        path: CartesianPath,
+        speed: float,
+        series: float,
+    ) -> None:
+        """Drive one path over all cycles."""
+        s, commanded, tangents = places_along(path)
+        start_M = path.positions(np.zeros(1))
+        programme = self.findings.programmes.get((spec.arm, kind))
+        runs = PathRuns(
+            arm=spec.arm,
+            commands=kind,
+            name=spec.name,
+            speed=spec.speed,
+            length=path.length,
+            commanded_M=commanded,
+            tangents_M=tangents,
+            s=s,
+            tracks=[],
+            tracker=self.task.profile.tolerances.covariance_factor
+            * tracker_covariance(self.task.profile.tracker, start_M)[0],
+            frame=np.zeros((3, 3)) if programme is None else programme.frame["P1"],
+            wanted=wanted_cycles("path", self.task.cycles),
+            slowed=trajectory.slowed,
+            series=series,
+        )
+        self.findings.paths.append(runs)
+
+        def begin() -> None:
+            self._hold()
+            for q in (_run_up(trajectory.q), trajectory.q[0]):
+                self.mover.go_home_unless_clear(spec.arm, q)
+                self.mover.move({spec.arm: q})
+
+        driver = PathDriver(self.cell, self.mover, self.reaction, self.control)
+        try:
+            for _ in range(runs.wanted):  # points in an interval that makes them as many at each speed
+                runs.tracks.append(driver.drive(spec.arm, trajectory, begin, start_M[0], INTERVAL_S / speed))
+        except (MotionRefused, TrackerError) as error:
+            runs.problems.append(str(error))
 
     def _visits(self) -> list[Visit]:
         """Return the visits of all tests that are measured at rest, except drift."""
