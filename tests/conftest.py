@@ -27,7 +27,7 @@ from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.discover.run import discover_run
 from cellapp.commands.plan.run import new_planned_run
 from tests.made_once import made_once
-from tests.scheduling import PROCESSES, FromBothEnds, leave_the_processor, waiting_last
+from tests.scheduling import PROCESSES, FromBothEnds, in_order, leave_the_processor
 from tests.twin import PROFILES, finished_twin
 from tests.verbs import push_run
 
@@ -72,8 +72,8 @@ def pytest_collection(session: pytest.Session) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Put the tests that wait behind the others, and leave out what only repeats."""
-    waiting_last(items)
+    """Put the tests in their order, and leave out what only repeats."""
+    in_order(items)
     if config.getoption("--all"):
         return
     config.hook.pytest_deselected(items=[item for item in items if item.get_closest_marker("slow")])
@@ -82,7 +82,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """Processes for ``pytest -n auto``: one more than for two cores, as one waits; none for a part of the tests.
+    """Processes for ``pytest -n auto``: more than two cores have, as some wait; none for a part of the tests.
 
     A file's tests share a process, which has loopback addresses of its own (``loopback.own_address``).
     """

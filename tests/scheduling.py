@@ -1,26 +1,36 @@
 """Which test process takes which files: some compute, others mostly wait for emulated devices and terminals.
 
-A file whose tests wait says so: ``pytestmark = pytest.mark.waits``. These come last. Of several processes one half
-takes files from the beginning of the queue, the other half from its end, until they meet. What waits needs the
-processor seldom but at once, so the processes that compute leave it to the others.
+A file whose tests wait says so: ``pytestmark = pytest.mark.waits``. These come last. Of several processes one in four
+takes files from the end of the queue, the others from its beginning, until they meet. What waits needs the processor
+seldom but at once, so the processes that compute leave it to the others.
 """
 
 from __future__ import annotations
 
 import os
+from pathlib import Path
 
 import pytest
 from xdist.scheduler import LoadFileScheduling
 from xdist.workermanage import WorkerController
 
-PROCESSES = 3
-"""Of all tests, for two cores: two that compute, and one that waits."""
+PROCESSES = 4
+"""Of all tests, for two cores: one that waits, and three that compute, as tests of screens wait half of their time."""
+_LONG_FIRST = ("interfaces", "estimation", "drivers", "commands", "cell")
+"""Folders, those with the longest files first: what is begun last shall not run on alone."""
 _NICENESS = 5
 
 
-def waiting_last(items: list[pytest.Item]) -> None:
-    """Put the tests that wait behind those that compute; else the order stays."""
-    items.sort(key=lambda item: item.get_closest_marker("waits") is not None)
+def in_order(items: list[pytest.Item]) -> None:
+    """Put the tests that wait behind those that compute, and where the two ends of the queue meet what is short."""
+
+    def place(item: pytest.Item) -> tuple[bool, int]:
+        folder = item.path.relative_to(Path(__file__).parent).parts[0]
+        rank = _LONG_FIRST.index(folder) if folder in _LONG_FIRST else len(_LONG_FIRST)
+        waits = item.get_closest_marker("waits") is not None
+        return waits, -rank if waits else rank
+
+    items.sort(key=place)
 
 
 def leave_the_processor(config: pytest.Config) -> None:
@@ -32,11 +42,11 @@ def leave_the_processor(config: pytest.Config) -> None:
 
 def _waits(worker: str, count: int) -> bool:
     """Whether a process (gw0, gw1, ...) of ``count`` takes files from the end."""
-    return int(worker.removeprefix("gw")) >= count - count // 2
+    return int(worker.removeprefix("gw")) >= count - (count + 2) // 4
 
 
 class FromBothEnds(LoadFileScheduling):
-    """Whole files, for half of the processes from the end of the queue."""
+    """Whole files, for some of the processes from the end of the queue."""
 
     def _assign_work_unit(self, node: WorkerController) -> None:
         if _waits(node.gateway.id, self.numnodes):

@@ -288,13 +288,13 @@ def test_generic_code_compares_no_kinds_of_devices() -> None:
 
 def test_mathematics_opens_no_file() -> None:
     """But a model reads and writes its own: ``CellModel.load`` is how a program without a run comes to one."""
-    opening = {"open", "read_text", "write_text", "read_bytes", "write_bytes", "mkdir", "unlink"}
+    opening = {"open", "file_text", "read_text", "write_text", "read_bytes", "write_bytes", "mkdir", "unlink"}
     found = set()
     for path in (path for group in PURE for path in modules_below(f"cellapp/{group}")):
         called = [node.func for node in nodes_of(path) if isinstance(node, ast.Call)]
         names = {ast.unparse(one).rpartition(".")[2] for one in called if isinstance(one, ast.Name | ast.Attribute)}
         found |= {(name(path), one) for one in names & opening}
-    assert found == {("cellapp/robot/model/model.py", "read_text"), ("cellapp/robot/model/model.py", "write_text")}
+    assert found == {("cellapp/robot/model/model.py", "file_text"), ("cellapp/robot/model/model.py", "write_text")}
 
 
 def test_json_goes_through_the_typed_results() -> None:

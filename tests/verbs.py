@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from datetime import datetime
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
+from cellapp.cell.driving.cell import Cell
+from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.driving.records import CollectResult, ImportResult, PlanResult
 from cellapp.cell.driving.requests import running_job
-from cellapp.cell.driving.supervision import Opened
 from cellapp.cell.exports.arm_export import ExportResult
 from cellapp.cell.programs.records import CorrectResult
 from cellapp.cell.run import RunFile
@@ -42,6 +45,8 @@ from cellapp.ground.outputs import NEW_ONLY, Outputs
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.schema import Plant
 
+Opened = Callable[..., AbstractContextManager[Cell]]
+"""A replacement of ``open_cell``."""
 Page = Callable[[CertificateResult], str]
 
 
@@ -51,15 +56,23 @@ def certificate_run(run: RunFile, page: Page, now: datetime | None = None, **ask
 
 
 def check_run(
-    run: RunFile,
-    control: JobControl | None = None,
-    *,
-    simulated_plant: Plant | None = None,
-    open_with: Opened | None = None,
-    **asked: Any,
+    run: RunFile, control: JobControl | None = None, *, simulated_plant: Plant | None = None, **asked: Any
 ) -> CheckResult:
     request: Any = check.VERB.asked({"folder": run.folder, **asked})
-    return check_asked(run, request, Work(control or JobControl()), simulated_plant, open_with)
+    return check_asked(run, request, Work(control or JobControl()), simulated_plant)
+
+
+@contextmanager
+def opened_by(opened: Opened) -> Iterator[None]:
+    """Let jobs open their cell by ``opened``."""
+    module = "cellapp.cell.driving.{}.open_cell"
+    with patch(module.format("collect"), opened), patch(module.format("supervision"), opened):
+        yield
+
+
+def collect_by(opened: Opened, run: RunFile, control: JobControl | None = None, **options: Any) -> CollectResult:
+    with opened_by(opened):
+        return collect_run(run, control, **options)
 
 
 def collect_stops(run: RunFile, **asked: Any) -> CollectResult:

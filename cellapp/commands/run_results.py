@@ -12,30 +12,28 @@ import numpy as np
 
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.targets.path import PathResult
-from cellapp.cell.targets.records import CompensateResult, VerifyResult
+from cellapp.cell.targets.records import CompensateResult, TargetCommand, VerifyResult
 from cellapp.commands.certificate_result import CertificateResult
 from cellapp.commands.check.location import LocateResult
 from cellapp.commands.stages import RunStages, read_stages
 from cellapp.commands.stored_model import joined_calibration
-from cellapp.estimation.calibration.records import CalibrateResult
+from cellapp.estimation.calibration.records import CalibrateResult, PairMethodResult
 from cellapp.estimation.discovery.records import DiscoverResult
 from cellapp.estimation.iso9283.records import Iso9283Result
 from cellapp.estimation.monitoring.records import CheckResult
 from cellapp.estimation.uncertainty.budget import BudgetEvidence, MeasuredConditions
 from cellapp.ground.errors import InputError
-from cellapp.ground.results import CALIBRATE, DISCOVER, STAGE_NAMES, Result, StageName
+from cellapp.ground.results import CALIBRATE, DISCOVER, STAGE_NAMES, Method, Result, StageName
 
 
 def evidence_of(results: RunResults, arm: str, measured: MeasuredConditions | None = None) -> BudgetEvidence:
     """Return the evidence on one arm; ``measured`` are the conditions of its readings."""
     held = results.held
-    commands = () if held.compensate is None else held.compensate.targets
-    targets = () if held.verify is None else held.verify.targets
-    points = [one.measured_M for one in targets if one.arm == arm and one.measured_M is not None]
+    points = [one.measured_M for one in results.verified.of_arm(arm) if one.measured_M is not None]
     return BudgetEvidence(
         calibrated=None if results.calibrate is None else results.calibrate.arms.get(arm),
         discovered=None if held.discover is None else held.discover.arms.get(arm),
-        commands=tuple(one.parts for one in commands if one.arm == arm and one.parts is not None),
+        commands=tuple(one.parts for one in results.commands if one.arm == arm and one.parts is not None),
         verified_m=float(np.linalg.norm(np.array(points), axis=1).max()) if points else None,
         station_mm=None if held.locate is None or not held.locate.moved else held.locate.uncertainty_mm,
         measured=measured,
@@ -73,6 +71,22 @@ class RunResults(Result):
     def held(self) -> RunResults:
         """The results that still hold."""
         return self.model_copy(update=dict.fromkeys(self.out_of_date))
+
+    @property
+    def verified(self) -> VerifyResult:
+        """The verification that still holds and measured a target; without targets if there is none."""
+        verify = self.held.verify
+        return VerifyResult(arms={}, targets=()) if verify is None or not verify.arms else verify
+
+    @property
+    def commands(self) -> tuple[TargetCommand, ...]:
+        """The compensated targets that still hold."""
+        return () if (held := self.held.compensate) is None else held.targets
+
+    @property
+    def pair(self) -> Mapping[Method, PairMethodResult]:
+        """What a calibration that still holds says of the pair, by method."""
+        return {} if (held := self.held.calibrate) is None else held.pair
 
 
 def read_results(run: RunFile, stages: RunStages | None = None) -> RunResults:

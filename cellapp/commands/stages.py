@@ -419,7 +419,7 @@ def _stored_without_basis(run: RunFile, *, with_model: bool) -> Iterator[StoredS
         document = run.read_document(name)
         if document is not None:
             own = model if name in (CALIBRATE, DISCOVER) else None
-            yield StoredStage(0, name, document.written, "an older version", None, document.text, own)
+            yield StoredStage(0, name, document[0], "an older version", None, document[1], own)
 
 
 def _readable_model(path: Path) -> str | None:

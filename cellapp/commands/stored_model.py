@@ -15,7 +15,7 @@ from cellapp.estimation.calibration.station_location import wrong_factory
 from cellapp.estimation.discovery.records import DiscoverResult, with_effects
 from cellapp.estimation.monitoring.parameter_changes import CalibratedArm, combinations
 from cellapp.ground.errors import InputError
-from cellapp.ground.results import CALIBRATE, DISCOVER, LOCATE, StageName
+from cellapp.ground.results import CALIBRATE, DISCOVER, LOCATE, Result, StageName
 from cellapp.ground.shell import shell_word
 from cellapp.robot.model.model import CellModel
 
@@ -103,12 +103,11 @@ def stale_notes(stages: RunStages, used: StoredStage) -> list[str]:
     return [f"the model in force, that of '{used.name}', was used although {stale}"] if stale else []
 
 
-def append_with_model(
-    run: RunFile, name: StageName, result: CalibrateResult | DiscoverResult, model: CellModel, basis: Basis
-) -> StoredStage:
-    """Append a stage; the model's provenance records the stage's name and basis."""
-    provenance = {**model.provenance, "stage": name, "basis": basis.model_dump()}
-    return append_stage(run, name, result, basis, replace(model, provenance=provenance).to_json())
+def append_with_model(run: RunFile, name: StageName, result: Result, model: CellModel, basis: Basis) -> CellModel:
+    """Append a stage with its model; return the model, whose provenance records the stage's name and basis."""
+    stored = replace(model, provenance={**model.provenance, "stage": name, "basis": basis.model_dump()})
+    append_stage(run, name, result, basis, stored.to_json())
+    return stored
 
 
 def export_model(run: RunFile, stages: RunStages) -> None:

@@ -61,19 +61,12 @@ _STEP_S = 0.2
 
 def run(request: TrackerBridgeRequest, work: Work) -> TrackerBridgeResult:
     """Serve the tracker until the work is stopped; announce the address when it listens."""
-    served: list[TrackerBridgeResult] = []
-
-    def announce(result: TrackerBridgeResult) -> None:
-        served.append(result)
-        work.announce(result)
-
-    serve_tracker(load_profile(request.profile), request, work.control, announce)
-    return served[0]
+    return serve_tracker(load_profile(request.profile), request, work.control, work.announce)
 
 
 def serve_tracker(
     profile: Profile, request: TrackerBridgeRequest, job: JobToken, announce: Callable[[TrackerBridgeResult], None]
-) -> None:
+) -> TrackerBridgeResult:
     """Serve the profile's tracker until ``cancel``; all ports are free on return.
 
     ``announce`` is called once, when the service listens. The tracker connects when a client first needs it.
@@ -99,17 +92,13 @@ def serve_tracker(
     except OSError as error:
         raise HardwareError(f"tracker-bridge: {error.strerror}; see whether another one runs here") from error
     try:
-        announce(
-            TrackerBridgeResult(
-                kind=settings.kind,
-                host=service.host,
-                port=service.port,
-                serial=request.serial,
-                guarded=token is not None,
-            )
+        served = TrackerBridgeResult(
+            kind=settings.kind, host=service.host, port=service.port, serial=request.serial, guarded=token is not None
         )
+        announce(served)
         while not job.cancelled:
             service.poll(_STEP_S)
+        return served
     finally:
         service.close()
 

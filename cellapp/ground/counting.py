@@ -1,9 +1,11 @@
-"""Numbers as people read and type them."""
+"""Numbers and names as people read and type them."""
 
 from __future__ import annotations
 
+import difflib
 import math
 import re
+from collections.abc import Iterable
 from decimal import Decimal
 
 from cellapp.ground.errors import InputError
@@ -30,8 +32,16 @@ def plain(value: float, digits: int = 3) -> str:
     return f"{Decimal(text):f}" if "e" in text else text
 
 
+def did_you_mean(
+    name: str, known: Iterable[str], words: str = "; did you mean '{}'?", *, cutoff: float = 0.6, otherwise: str = ""
+) -> str:
+    """Put the known name that is most like ``name`` into ``words``; return ``otherwise`` if none is like it."""
+    close = difflib.get_close_matches(name, list(known), n=1, cutoff=cutoff)
+    return words.format(close[0]) if close else otherwise
+
+
 def listed_numbers(text: str, what: str) -> tuple[int, ...]:
-    """The numbers that a text such as ``0-9,12`` lists, ascending; none for ``none``. ``what`` they count, as "stops".
+    """The numbers that a text such as ``1-10,13`` lists, ascending; none for ``none``. ``what`` they count, as "stops".
 
     Raises ``InputError`` if it is no such list.
     """
@@ -39,7 +49,7 @@ def listed_numbers(text: str, what: str) -> tuple[int, ...]:
     for part in () if text.strip() == "none" else text.split(","):
         match = _NUMBERS.fullmatch(part.strip())
         if match is None:
-            raise InputError(f"'{part.strip()}': expected {what} such as 0-9,12, or none")
+            raise InputError(f"'{part.strip()}': expected {what} such as 1-10,13, or none")
         first, last = int(match[1]), int(match[2] or match[1])
         found |= {*range(first, last + 1)}
     return tuple(sorted(found))

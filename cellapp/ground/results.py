@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Iterable, Mapping
+from collections.abc import Container, Iterable, Mapping
 from typing import Any, ClassVar, Literal, Self, get_args
 
 from pydantic import BaseModel, ConfigDict, SerializerFunctionWrapHandler, ValidationError, model_serializer
@@ -23,6 +23,12 @@ METHODS: tuple[Method, ...] = get_args(Method)
 
 BEST_METHODS: tuple[Method, ...] = ("effects", "proposed", "method_1", "nominal")
 """The first of these that was computed is the pair's best; method_2 is the counter-example of the paper."""
+
+
+def best_method(computed: Container[Method]) -> Method | None:
+    """Return the best of the methods that were computed for a pair; None if there is none."""
+    return next((method for method in BEST_METHODS if method in computed), None)
+
 
 DecisionRule = Literal["guarded", "simple"]
 """``guarded``: ISO 14253-1; an error conforms if it is inside the tolerance by its expanded uncertainty, and does not

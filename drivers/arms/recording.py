@@ -24,7 +24,7 @@ class JointRecord:
         Joint positions [rad] and speeds [rad/s].
     period_s : float
         Time between two samples [s].
-    temperature_c : array, shape (n, N), or None
+    joint_temperature_c : array, shape (n, N), or None
         Joint temperatures [degC]; None if not reported.
     """
 
@@ -32,7 +32,7 @@ class JointRecord:
     q: NDArray[np.float64]
     qd: NDArray[np.float64]
     period_s: float
-    temperature_c: NDArray[np.float64] | None = None
+    joint_temperature_c: NDArray[np.float64] | None = None
 
     @property
     def missing(self) -> int:

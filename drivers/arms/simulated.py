@@ -150,7 +150,7 @@ class SimulatedArm:
             ready=self._fault is None,
             reason="" if self._fault is None else str(self._fault),
             payload_kg=self._plant.payload(self._name)[0],
-            joint_temperature_c=self._plant.joint_temperatures_c(self._name),
+            joint_temperature_c=self._plant.joints_c(self._name),
             rest_since_s=None if self._moving else self._plant.rest_s(self._name),
             speed_fraction=1.0,
         )

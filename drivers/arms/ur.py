@@ -465,7 +465,7 @@ class UrRecorder:
             q=_table(states, "actual_q"),
             qd=_table(states, "actual_qd"),
             period_s=self._period_s,
-            temperature_c=temperature if temperature.any() else None,
+            joint_temperature_c=temperature if temperature.any() else None,
         )
 
     def close(self) -> None:

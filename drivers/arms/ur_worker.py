@@ -167,11 +167,11 @@ class Worker:
         self.answer({"hello": os.getpid()})
         while True:
             try:
-                self._turn()
+                self._round()
             except (RuntimeError, ValueError) as error:  # the client raises these if its link breaks during a call
                 self.exit_link_lost("link", f"its RTDE client failed ({printable(str(error))})")
 
-    def _turn(self) -> None:
+    def _round(self) -> None:
         supervisor = self._supervisor
         with suppress(queue.Empty):
             request = self._requests.get(timeout=min(_TICK_S, supervisor.patience_s if supervisor else _TICK_S))

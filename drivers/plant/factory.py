@@ -86,7 +86,7 @@ def _common_normal(
 ) -> tuple[Array, Array, Array]:
     """Return the direction of the common normal of two axes, and its intersection with each.
 
-    Of the two directions, choose the one nearer to the x axis after the turn of the published ``row``. For parallel
+    Of the two directions, choose the one nearer to the x axis after the rotation of the published ``row``. For parallel
     axes, take the normal at the published d.
     """
     side = np.cos(row[0]) * x + np.sin(row[0]) * np.cross(z, x)

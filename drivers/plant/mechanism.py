@@ -117,15 +117,15 @@ class Mechanism:
     probe: Array | None = None
 
     @cached_property
-    def _turns(self) -> Array:
+    def _rotations(self) -> Array:
         """Factors of sin(q), 1 - cos(q) and 1 in each joint's transform, as rows, (N, 3, 16)."""
         cross = cross_matrix(self.directions)
-        turns = np.zeros((len(cross), 3, 4, 4))
+        rotations = np.zeros((len(cross), 3, 4, 4))
         for k, matrix in enumerate((cross, cross @ cross)):
-            turns[:, k, :3, :3] = matrix
-            turns[:, k, :3, 3] = -(matrix @ self.points[:, :, None])[..., 0]
-        turns[:, 2] = np.eye(4)
-        return turns.reshape(-1, 3, 16)
+            rotations[:, k, :3, :3] = matrix
+            rotations[:, k, :3, 3] = -(matrix @ self.points[:, :, None])[..., 0]
+        rotations[:, 2] = np.eye(4)
+        return rotations.reshape(-1, 3, 16)
 
     @cached_property
     def _lines(self) -> Array:
@@ -154,15 +154,15 @@ class Mechanism:
         factors = np.ones((joints, n, 3))
         np.sin(angles.T, out=factors[:, :, 0])
         np.subtract(1.0, np.cos(angles.T), out=factors[:, :, 1])
-        turns = (factors @ self._turns).reshape(joints, n, 4, 4)
+        rotations = (factors @ self._rotations).reshape(joints, n, 4, 4)
         if bend.links is not None:
             frames = self.frames[1:, None]
-            turns = turns @ (frames @ rigid(bend.links.swapaxes(0, 1)) @ inverse(frames))
+            rotations = rotations @ (frames @ rigid(bend.links.swapaxes(0, 1)) @ inverse(frames))
         if bend.base is not None:
-            turns[0] = rigid(bend.base) @ turns[0]
+            rotations[0] = rigid(bend.base) @ rotations[0]
         for i in range(1, joints):
-            turns[i] = turns[i - 1] @ turns[i]
-        return turns
+            rotations[i] = rotations[i - 1] @ rotations[i]
+        return rotations
 
 
 @dataclass(frozen=True, eq=False)
@@ -323,7 +323,7 @@ def nominal(arm: ArmConfig) -> Mechanism:
 def with_errors(mechanism: Mechanism, errors: TrueErrors, rng: np.random.Generator) -> Mechanism:
     """Return the mechanism with normally distributed errors of axes, joint zeros, SMR and probe.
 
-    The draws do not depend on the sizes, so that one size can be changed alone.
+    The samples do not depend on the sizes, so that one size can be changed alone.
     """
     joints = len(mechanism.directions)
     sideways = across(mechanism.directions)
@@ -332,8 +332,8 @@ def with_errors(mechanism: Mechanism, errors: TrueErrors, rng: np.random.Generat
     smr = rng.standard_normal(3)
     probe = rigid(np.concatenate([np.zeros(3), errors.probe * rng.standard_normal(3)]))[:3, :3]
     moved = mechanism.points + errors.length * np.einsum("jk,jkx->jx", shift, sideways)
-    turned = errors.angle * np.einsum("jk,jkx->jx", tilt, sideways)
-    twist = np.concatenate([np.zeros_like(turned), turned], axis=1)
+    rotated = errors.angle * np.einsum("jk,jkx->jx", tilt, sideways)
+    twist = np.concatenate([np.zeros_like(rotated), rotated], axis=1)
     directions = (rigid(twist)[:, :3, :3] @ mechanism.directions[:, :, None])[..., 0]
     return replace(
         mechanism,

@@ -29,7 +29,7 @@ def covariances(tracker: TrackerConfig, p_M: Array, averaging_s: float) -> Array
 
 
 def noise(tracker: TrackerConfig, p_M: Array, averaging_s: float, rng: np.random.Generator) -> Array:
-    """Draw random errors (n, 3) [m] of measured points with the covariance of ``covariances``."""
+    """Sample random errors (n, 3) [m] of measured points with the covariance of ``covariances``."""
     distance = np.linalg.norm(p_M, axis=1)
     across, along = deviations(tracker, distance, averaging_s)
     beam = p_M / distance[:, None]

@@ -46,7 +46,7 @@ class Plant:
         self._air_now = (np.nan, np.nan)
         """Cache: a time [s] and the air temperature at that time [degC]."""
         self._noise = config.random(1)
-        # one random stream per arm and purpose: draws from one do not change another
+        # one random stream per arm and purpose: samples from one do not change another
         self._arms = {
             arm.name: sample_true_arm(arm, config, self._T_M_C, np.random.SeedSequence([config.seed, 2, number]))
             for number, arm in enumerate(config.arms)
@@ -209,7 +209,7 @@ class Plant:
         memories = list(phase.memories)
         if moving:
             memories = arm.remembered(memories, q)
-        air_c = np.full(len(q), self.air_temperature_c)
+        air_c = np.full(len(q), self.air_c)
         situation = Situation(
             q=q,
             approach=np.where(step == 0.0, phase.approach, np.sign(step)) if moving else phase.approach + 0.0 * q,
@@ -232,7 +232,7 @@ class Plant:
         return self._clock_s
 
     @property
-    def air_temperature_c(self) -> float:
+    def air_c(self) -> float:
         """Air temperature now [degC]."""
         time_s, temperature_c = self._air_now
         if time_s != self._clock_s:
@@ -240,9 +240,9 @@ class Plant:
             self._air_now = self._clock_s, temperature_c
         return temperature_c
 
-    def joint_temperatures_c(self, name: str) -> Array:
+    def joints_c(self, name: str) -> Array:
         """Return the current joint temperatures of an arm, (N,) [degC]."""
-        return self.air_temperature_c + self._arm(name).rise
+        return self.air_c + self._arm(name).rise
 
     def _q(self, arm: TrueArm) -> Array:
         return arm.q if arm.motion is None else arm.motion.position(np.array([self._clock_s]))[0]
@@ -345,14 +345,14 @@ class Plant:
         for arm in self._arms.values():
             resting_s, cold = duration_s, arm.rise
             if arm.motion is not None:
-                turning_s = min(arm.motion.end_s, end_s) - self._clock_s
-                arm.rise = joint_rise(arm.rise, arm.motion.mean_speed, turning_s, self.config.holding_k)
-                resting_s -= turning_s
+                moving_s = min(arm.motion.end_s, end_s) - self._clock_s
+                arm.rise = joint_rise(arm.rise, arm.motion.mean_speed, moving_s, self.config.holding_k)
+                resting_s -= moving_s
                 if arm.motion.end_s <= end_s:
                     self._end_motion(arm, arm.motion.q_to, arm.motion.end_s)
             arm.rise = joint_rise(arm.rise, np.zeros_like(arm.rise), resting_s, self.config.holding_k)
             if arm.effects:
-                mean_c = (air_c := self.air_temperature_c) + 0.5 * (cold + arm.rise)
+                mean_c = (air_c := self.air_c) + 0.5 * (cold + arm.rise)
                 arm.memories = [
                     effect.memory_after_time(memory, air_c, mean_c, duration_s)
                     for effect, memory in zip(arm.effects, arm.memories, strict=True)
@@ -401,7 +401,7 @@ class Plant:
     ) -> tuple[Array, Array]:
         """Return measured positions (n, 3) of SMRs at ``p_M`` (n, 3) [m] and their covariances (n, 3, 3) [m^2].
 
-        ``rng`` draws the noise, by default the cell's own stream; the configuration may switch noise off.
+        ``rng`` samples the noise, by default the cell's own stream; the configuration may switch noise off.
         """
         averaging_s = self.config.tracker.averaging_s if averaging_s is None else averaging_s
         p_M = np.asarray(p_M, dtype=np.float64)

@@ -22,7 +22,7 @@ _UR10_REACH_M = 1.39
 
 @dataclass(frozen=True, eq=False)
 class EffectSampler:
-    """Random draws for one effect, and the quantities that scale it: arm, duration of the run [s], torques, reach."""
+    """Random samples for one effect, and the quantities that scale it: arm, duration of the run [s], torques, reach."""
 
     rng: np.random.Generator
     arm: ArmConfig
@@ -32,7 +32,7 @@ class EffectSampler:
 
     @classmethod
     def of(cls, rng: np.random.Generator, arm: ArmConfig, duration_s: float) -> EffectSampler:
-        """Prepare draws for an arm and a run. Raises ``ValueError`` for a duration that is not positive."""
+        """Prepare samples for an arm and a run. Raises ``ValueError`` for a duration that is not positive."""
         if not 0.0 < duration_s < np.inf:
             raise ValueError(f"duration_s must be a positive time, not {duration_s:g}")
         poses = np.random.default_rng(0).uniform(-np.pi, np.pi, (_POSES, arm.joints))
@@ -41,11 +41,11 @@ class EffectSampler:
         return cls(rng, arm, float(duration_s), torques, reach)
 
     def uniform(self, low: float, high: float) -> float:
-        """Draw between two numbers."""
+        """Sample between two numbers."""
         return float(self.rng.uniform(low, high))
 
     def log_uniform(self, low: float, high: float) -> float:
-        """Draw between two positive sizes, uniform in the logarithm."""
+        """Sample between two positive sizes, uniform in the logarithm."""
         return float(np.exp(self.rng.uniform(np.log(low), np.log(high))))
 
     def signed_log_uniform(self, low: float, high: float) -> float:
@@ -53,24 +53,24 @@ class EffectSampler:
         return float(self.rng.choice([-1.0, 1.0])) * self.log_uniform(low, high)
 
     def seed(self) -> int:
-        """Draw the seed of a random function."""
+        """Sample the seed of a random function."""
         return int(self.rng.integers(2**31))
 
     def angle(self) -> float:
-        """Draw a random phase [rad]."""
+        """Sample a random phase [rad]."""
         return self.uniform(0.0, 2.0 * np.pi)
 
     def angles(self, count: int) -> list[float]:
-        """Draw ``count`` random phases [rad]."""
+        """Sample ``count`` random phases [rad]."""
         return [self.angle() for _ in range(count)]
 
     def random_vector(self, low: float, high: float) -> list[float]:
-        """Draw a vector of random direction with a length between two sizes."""
+        """Sample a vector of random direction with a length between two sizes."""
         direction = self.rng.standard_normal(3)
         return list(map(float, direction / np.linalg.norm(direction) * self.log_uniform(low, high)))
 
     def some_joints(self) -> list[int]:
-        """Draw two to four joints, counted from 1; at least two of the first three, which have long lever arms."""
+        """Sample two to four joints, counted from 1; at least two of the first three, which have long lever arms."""
         joints = self.arm.joints
         long = min(joints, 3)
         count = min(int(self.rng.integers(2, 5)), joints)
@@ -80,12 +80,12 @@ class EffectSampler:
         return sorted(int(joint) for joint in chosen)
 
     def per_joint(self, low: float, high: float) -> list[float]:
-        """Draw a size for each joint, uniform in the logarithm."""
+        """Sample a size for each joint, uniform in the logarithm."""
         return [self.log_uniform(low, high) for _ in range(self.arm.joints)]
 
 
 def _drive_stiffness(sample: EffectSampler) -> list[float]:
-    """Draw stiffnesses for drives dimensioned by torque: wind-up of 1 to 2.2 mrad under the largest torque.
+    """Sample stiffnesses for drives dimensioned by torque: wind-up of 1 to 2.2 mrad under the largest torque.
 
     UR10, shoulder: 5.5e4 to 1.2e5 Nm/rad. Wrist drives are larger than their torque requires.
     """
@@ -189,7 +189,7 @@ def _joint_axis_runout(sample: EffectSampler) -> dict[str, Any]:
 
 
 def _course(sample: EffectSampler) -> tuple[str, float, float]:
-    """Draw a law and its time constant; also return the share of the drift that is reached at the end of the run."""
+    """Sample a law and its time constant; also return the share of the drift that is reached at the end of the run."""
     law = str(sample.rng.choice(["linear", "exponential", "creep"]))
     if law == "linear":
         return law, sample.duration_s, 1.0
@@ -200,11 +200,11 @@ def _course(sample: EffectSampler) -> tuple[str, float, float]:
     return law, time, float(np.log1p(sample.duration_s / time))
 
 
-def _drift(sample: EffectSampler, turn: tuple[float, float]) -> dict[str, Any]:
+def _drift(sample: EffectSampler, rotation: tuple[float, float]) -> dict[str, Any]:
     law, time, at_end = _course(sample)
     return {
         "shift": [value / at_end for value in sample.random_vector(30e-6, 80e-6)],
-        "turn": [value / at_end for value in sample.random_vector(*turn)],
+        "turn": [value / at_end for value in sample.random_vector(*rotation)],
         "law": law,
         "time": time,
     }
@@ -359,14 +359,14 @@ ONLY_MOVING: tuple[str, ...] = tuple(_ONLY_MOVING)
 
 
 def suggest(slug: str, rng: np.random.Generator, arm: ArmConfig, duration_s: float = 18000.0) -> dict[str, Any]:
-    """Draw parameters of one effect at a realistic size, in the form of ``ArmConfig.effects``.
+    """Sample parameters of one effect at a realistic size, in the form of ``ArmConfig.effects``.
 
     Parameters
     ----------
     slug : str
         One of ``REALISTIC``, ``OUTSIDE`` or ``ONLY_MOVING``.
     rng : numpy.random.Generator
-        Draws joints, signs, phases, sizes and onsets; the same state gives the same parameters.
+        Samples joints, signs, phases, sizes and onsets; the same state gives the same parameters.
     arm : ArmConfig
         Its reach, weight and SMR scale the sizes.
     duration_s : float
@@ -380,7 +380,7 @@ def suggest(slug: str, rng: np.random.Generator, arm: ArmConfig, duration_s: flo
     return factories[slug](EffectSampler.of(rng, arm, duration_s))
 
 
-# -- Random parameters of hidden effects whose laws differ in shape from those that ``suggest`` draws -----------------
+# -- Random parameters of hidden effects whose laws differ in shape from those that ``suggest`` samples ---------------
 #
 # A discovery that knows an effect by one law meets the same cause here with another law: displacements differ by about
 # 5 to 30 %. Sizes are those of ``suggest``.
@@ -391,7 +391,7 @@ _Law = Callable[[EffectSampler, _Parameters], _Parameters]
 
 
 def _one_of(*laws: _Law) -> _Law:
-    """Draw one of several laws."""
+    """Sample one of several laws."""
     return lambda sample, plain: laws[int(sample.rng.integers(len(laws)))](sample, plain)
 
 
@@ -486,8 +486,8 @@ def _other_joint_axis_runout(sample: EffectSampler, plain: _Parameters) -> _Para
     return {**plain, "harmonics": harmonics, "shares": [sample.uniform(0.5, 1.0) for _ in harmonics]}
 
 
-def _other_course(sample: EffectSampler, turn: tuple[float, float]) -> _Parameters:
-    twist = {"shift": sample.random_vector(30e-6, 80e-6), "turn": sample.random_vector(*turn)}
+def _other_course(sample: EffectSampler, rotation: tuple[float, float]) -> _Parameters:
+    twist = {"shift": sample.random_vector(30e-6, 80e-6), "turn": sample.random_vector(*rotation)}
     if sample.rng.random() < 0.5:
         time = sample.uniform(1.2, 2.4) * sample.duration_s
         return {**twist, "law": "sinusoidal", "time": time, "phase": sample.angle()}
@@ -605,7 +605,7 @@ _OTHER: Mapping[str, _Law] = {
 def suggest_other_law(
     slug: str, rng: np.random.Generator, arm: ArmConfig, duration_s: float = 18000.0
 ) -> dict[str, Any]:
-    """Draw parameters of one effect of ``REALISTIC`` by a law of another shape; otherwise as ``suggest``.
+    """Sample parameters of one effect of ``REALISTIC`` by a law of another shape; otherwise as ``suggest``.
 
     Outside the catalogue, the field in space has a short length; couplings and crosstalk are those of ``suggest``.
 

@@ -1,4 +1,4 @@
-"""Smooth random functions of time, of an angle and of a position, each drawn by a seed."""
+"""Smooth random functions of time, of an angle and of a position, each sampled by a seed."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ class RandomPaths:
 
     @classmethod
     def sampled(cls, seed: int, count: int, period: float) -> RandomPaths:
-        """Draw ``count`` paths."""
+        """Sample ``count`` paths."""
         amplitudes = _PERIODS * np.sqrt(2.0 / (_PERIODS**2).sum())
         phases = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, (len(_PERIODS), count))
         return cls(period * _PERIODS, amplitudes, phases)
 
     def at(self, time_s: Array) -> Array:
         """Return the paths (n, k) at times (n,) [s]."""
-        turns = 2.0 * np.pi * time_s[:, None, None] / self.periods[:, None]
-        waves = self.amplitudes[:, None] * (np.sin(turns + self.phases) - np.sin(self.phases))
+        angles = 2.0 * np.pi * time_s[:, None, None] / self.periods[:, None]
+        waves = self.amplitudes[:, None] * (np.sin(angles + self.phases) - np.sin(self.phases))
         paths: Array = waves.sum(axis=1)
         return paths
 
@@ -52,7 +52,7 @@ class RandomWaves:
 
     @classmethod
     def sampled(cls, rng: np.random.Generator, count: int, harmonics: Array, shares: Array) -> RandomWaves:
-        """Draw the phases."""
+        """Sample the phases."""
         return cls(harmonics, shares, rng.uniform(0.0, 2.0 * np.pi, (len(harmonics), count)))
 
     def at(self, angle: Array) -> Array:
@@ -76,7 +76,7 @@ class RandomField:
 
     @classmethod
     def sampled(cls, seed: int, length: float) -> RandomField:
-        """Draw a field of correlation length ``length`` [m]."""
+        """Sample a field of correlation length ``length`` [m]."""
         rng = np.random.default_rng(seed)
         vectors = rng.standard_normal((_FIELD_WAVES, 3)) / length
         phases = rng.uniform(0.0, 2.0 * np.pi, _FIELD_WAVES)

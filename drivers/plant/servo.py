@@ -94,7 +94,7 @@ class ServoMotion:
 def follow(arm: TrueArm, goal: Array, time_s: float, rate: float, repeatability: float) -> None:
     """Make an arm that is at rest, or already in a stream, follow ``goal`` (N,) [rad] from ``time_s`` [s] on.
 
-    ``repeatability`` [rad] is the standard deviation of the position error drawn for a
+    ``repeatability`` [rad] is the standard deviation of the position error sampled for a
     new stream. Raises ``ValueError`` during a motion of another kind.
     """
     if arm.motion is not None and arm.streamed is None:
@@ -108,6 +108,6 @@ def follow(arm: TrueArm, goal: Array, time_s: float, rate: float, repeatability:
         now = np.array([time_s])
         q, speed = ended.position(now)[0], ended.velocity(now)[0]
         assert arm.streamed is not None
-        arm.note_turn(arm.streamed, q)
+        arm.note_reversal(arm.streamed, q)
     arm.streamed = q
     arm.motion = ServoMotion.towards(np.array(goal, dtype=np.float64), time_s, q, speed, rate)

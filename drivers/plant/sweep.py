@@ -127,8 +127,8 @@ def record_sweep(
         p_M = p_M * (1.0 + DYNAMIC_M * rng.standard_normal(distance.shape) / distance)
     joint_time_s, joints, speeds = _samples(time_s, q, recorder, rng)
     for one, path in others.items():
-        for turn in _turns(path).tolist():
-            plant._arm(one).note_turn(path[turn], path[turn + 1])
+        for turn in _reversals(path).tolist():
+            plant._arm(one).note_reversal(path[turn], path[turn + 1])
     _end(plant, moving, float(time_s[-1]))
     lost = _lost(seen, recorder, rng)
     return SweepRecord(
@@ -167,7 +167,7 @@ def _samples(time_s: Array, q: Array, recorder: Recorder, rng: np.random.Generat
 
 
 def _lost(seen: Array, recorder: Recorder, rng: np.random.Generator) -> np.ndarray:
-    """Draw a mask (m,) of the points at which the beam was lost."""
+    """Sample a mask (m,) of the points at which the beam was lost."""
     lost = np.zeros(len(seen), dtype=bool)
     for _ in range(rng.poisson(recorder.lost_beams_per_min * float(np.ptp(seen)) / 60.0)):
         begin = rng.uniform(seen[0], seen[-1])
@@ -175,7 +175,7 @@ def _lost(seen: Array, recorder: Recorder, rng: np.random.Generator) -> np.ndarr
     return lost
 
 
-def _turns(q: Array) -> np.ndarray:
+def _reversals(q: Array) -> np.ndarray:
     """Return the rows at which a joint reverses; between two of them no joint does."""
     way = np.sign(np.diff(q, axis=0))
     # after a rest, a joint has reversed only if it then moves the other way
@@ -191,10 +191,10 @@ def _points(
     ``others`` (m, K) are joint positions of other arms that move."""
     q_seen = _at(seen, time_s, q)
     inertia, added = _of_course(arm, time_s, q, seen)
-    turns = [0, *_turns(q).tolist(), len(q) - 1]
+    reversals = [0, *_reversals(q).tolist(), len(q) - 1]
     points = np.empty((len(seen), 3))
-    segment = np.searchsorted(time_s[turns[1:-1]], seen, side="right")
-    for number, end in enumerate(turns[1:]):
+    segment = np.searchsorted(time_s[reversals[1:-1]], seen, side="right")
+    for number, end in enumerate(reversals[1:]):
         rows = np.flatnonzero(segment == number)
         phase = phase_of(arm, began_s)
         for at in range(0, len(rows), _AT_ONCE):
@@ -204,7 +204,7 @@ def _points(
             points[some], _ = smr_in(
                 plant, arm, phase, q_seen[some], at_s, here, moving=True, inertia=turn, response=more
             )
-        arm.note_turn(q[end], q[min(end + 1, len(q) - 1)])
+        arm.note_reversal(q[end], q[min(end + 1, len(q) - 1)])
     return points
 
 

@@ -34,9 +34,9 @@ def rigid(twist: Array) -> Array:
 def inverse(motion: Array) -> Array:
     """Return the inverse of rigid transforms (..., 4, 4)."""
     back = np.zeros_like(motion)
-    turn = np.swapaxes(motion[..., :3, :3], -1, -2)
-    back[..., :3, :3] = turn
-    back[..., :3, 3] = -(turn @ motion[..., :3, 3, None])[..., 0]
+    rotation = np.swapaxes(motion[..., :3, :3], -1, -2)
+    back[..., :3, :3] = rotation
+    back[..., :3, 3] = -(rotation @ motion[..., :3, 3, None])[..., 0]
     back[..., 3, 3] = 1.0
     return back
 
@@ -56,15 +56,15 @@ def across(direction: Array) -> Array:
     return np.stack([first, np.cross(direction, first)], axis=-2)
 
 
-def quaternion(turn: Array) -> Array:
+def quaternion(R: Array) -> Array:
     """Return the unit quaternion (4,), scalar first and not negative, of a rotation (3, 3).
 
     It is the eigenvector of the largest eigenvalue of Bar-Itzhack's symmetric matrix, which is well conditioned for
     every rotation.
     """
     K = np.empty((4, 4))
-    K[1:, 1:] = turn + turn.T - np.trace(turn) * np.eye(3)
-    K[0, 0] = np.trace(turn)
-    K[0, 1:] = K[1:, 0] = turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]
+    K[1:, 1:] = R + R.T - np.trace(R) * np.eye(3)
+    K[0, 0] = np.trace(R)
+    K[0, 1:] = K[1:, 0] = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
     vector: Array = np.linalg.eigh(K)[1][:, -1]
     return vector if vector[0] >= 0.0 else -vector

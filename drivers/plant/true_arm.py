@@ -87,12 +87,12 @@ class TrueArm:
         self.approach = np.where(step == 0.0, self.approach, np.sign(step))
         self.last_step, self.q = step, q
 
-    def note_turn(self, turned: Array, after: Array) -> None:
-        """Update the state of joints that reversed at ``turned`` (N,); the other joints continue their motion."""
-        step = turned - self.q
-        reverses = (after - turned) * step < 0.0
+    def note_reversal(self, reversal: Array, after: Array) -> None:
+        """Update the state of joints that reversed at ``reversal`` (N,); the other joints continue their motion."""
+        step = reversal - self.q
+        reverses = (after - reversal) * step < 0.0
         if reverses.any():
-            at = np.where(reverses, turned, self.q)
+            at = np.where(reverses, reversal, self.q)
             self.memories = self.remembered(self.memories, at[None])
             self.approach = np.where(reverses, np.sign(step), self.approach)
             self.last_step, self.q = np.where(reverses, step, self.last_step), at
@@ -129,7 +129,7 @@ def watch(clearance: Clearance, arms: Sequence[TrueArm], times_s: Array, floor: 
 
 
 def sample_true_arm(arm: ArmConfig, config: PlantConfig, T_M_C: Array, seed: np.random.SeedSequence) -> TrueArm:
-    """Create the true arm of ``arm`` at rest in its home position, with errors drawn from ``seed``."""
+    """Create the true arm of ``arm`` at rest in its home position, with errors sampled from ``seed``."""
     geometry, base, repeatability, masses = (np.random.default_rng(s) for s in seed.spawn(4))
     errors = config.errors
     effects = hidden.build(arm.name, arm.joints, arm.effects)

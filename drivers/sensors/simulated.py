@@ -26,7 +26,7 @@ class SimulatedAirSensor:
             raise SensorLinkLost("air sensor: the simulated link is not open; connect first")
         return AirReading(
             time_s=self._plant.clock_s,
-            temperature_c=self._plant.air_temperature_c,
+            temperature_c=self._plant.air_c,
             pressure_hpa=_PRESSURE_HPA,
             humidity_percent=_HUMIDITY_PERCENT,
         )

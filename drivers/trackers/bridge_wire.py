@@ -271,7 +271,7 @@ def read_point(own: Fields) -> Point:
     for i, j in _UPPER_TRIANGLE:
         low = 0.0 if i == j else -1.0
         covariance[i, j] = covariance[j, i] = read_number(own, f"c{_AXES[i]}{_AXES[j]}", low, 1.0)
-    turned = _QUATERNION[0] in own
+    has_rotation = _QUATERNION[0] in own
     return Point(
         p_M=np.array([read_number(own, axis, -1e3, 1e3) for axis in _AXES]),
         covariance_M=covariance,
@@ -282,8 +282,8 @@ def read_point(own: Fields) -> Point:
         humidity_percent=read_optional(own, "humidity", 0.0, 100.0),
         reflector=own.get("reflector", ""),
         quality=tuple(own["quality"].split("; ")) if own.get("quality") else (),
-        quaternion_M=_read_quaternion(own) if turned else None,
-        sigma_rad=read_optional(own, "sigma_rad", 0.0, 0.1) if turned else None,
+        quaternion_M=_read_quaternion(own) if has_rotation else None,
+        sigma_rad=read_optional(own, "sigma_rad", 0.0, 0.1) if has_rotation else None,
     )
 
 

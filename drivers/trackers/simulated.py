@@ -113,7 +113,7 @@ class SimulatedTracker:
         self._blind_until_s = -math.inf
         """Time until which a broken beam cannot be locked again [s]."""
         self.dynamic = plant.config.random(3)
-        self._turns = plant.config.random(5)
+        self._rotation_noise = plant.config.random(5)
         self._connected = False
         self._link_cut = False
         self._down_until_s = -math.inf
@@ -214,7 +214,7 @@ class SimulatedTracker:
         if locked.moving or rested_s < SETTLE_S:
             self._unstable(locked)
         taken_s = self.plant.clock_s
-        air = (self.plant.air_temperature_c, self.errors.pressure_hpa, self.errors.humidity_percent)
+        air = (self.plant.air_c, self.errors.pressure_hpa, self.errors.humidity_percent)
         read, covariance = self.plant.measure_positions(locked.p_M[None], averaging_s=averaging_s)
         applied, warnings = self._applied(air)
         p_M = self._with_errors(read[0], air, applied)
@@ -243,7 +243,7 @@ class SimulatedTracker:
             return None
         error = np.zeros(6)
         if self.plant.config.noise:
-            error[3:] = locked.sigma_rad * self._turns.standard_normal(3)
+            error[3:] = locked.sigma_rad * self._rotation_noise.standard_normal(3)
         return quaternion(rigid(error)[:3, :3] @ locked.R_M_S)
 
     # -- following a moving SMR ----------------------------------------------------------------------------------------
@@ -289,7 +289,7 @@ class SimulatedTracker:
 
     def points(self, p_M: Vector, *, moving: bool) -> tuple[Vector, Vector]:
         """Simulate measured points (n, 3) of true ones; return them and their standard uncertainties (n,)."""
-        air = (self.plant.air_temperature_c, self.errors.pressure_hpa, self.errors.humidity_percent)
+        air = (self.plant.air_c, self.errors.pressure_hpa, self.errors.humidity_percent)
         read, covariance = self.plant.measure_positions(p_M)
         applied = self._applied(air)[0]
         read = np.array([self._with_errors(one, air, applied) for one in read]).reshape(-1, 3)

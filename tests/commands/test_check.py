@@ -36,7 +36,7 @@ from drivers.trackers.simulated import SimulatedTracker
 from tests.cell.driving.test_check import SOME, away, swap_splits
 from tests.twin import PROFILES, finished_twin
 from tests.twin import plant_of as opened_plant
-from tests.verbs import check_run, locate_run, push_run
+from tests.verbs import check_run, locate_run, opened_by, push_run
 
 TEN_MINUTES_S = 600.0
 
@@ -98,8 +98,8 @@ def opening(change: Callable[[Cell], None]) -> Callable[..., Any]:
     """Open the cell of a profile and do something to it first."""
 
     @contextmanager
-    def opened(profile: Profile) -> Iterator[Cell]:
-        with open_cell(profile) as cell:
+    def opened(profile: Profile, **options: Any) -> Iterator[Cell]:
+        with open_cell(profile, **options) as cell:
             change(cell)
             yield cell
 
@@ -258,8 +258,8 @@ def test_the_stop_key_ends_it_and_nothing_is_stored(run: RunFile) -> None:
             control.stop()
 
     control = JobControl(pressed)
-    with pytest.raises(Stopped):
-        check_run(run, control, open_with=opening(opened.append))
+    with pytest.raises(Stopped), opened_by(opening(opened.append)):
+        check_run(run, control)
     assert CHECK not in read_stages(run).current
     assert not any(opened_plant(opened[0]).moving(name) for name in run.profile.arms)
 
@@ -274,7 +274,8 @@ def covering(run: RunFile, *arms: str, at: int) -> CheckResult:
             assert isinstance(tracker, SimulatedTracker)
             tracker.covered |= set(arms)
 
-    return check_run(run, JobControl(cover), open_with=opening(opened.append))
+    with opened_by(opening(opened.append)):
+        return check_run(run, JobControl(cover))
 
 
 def test_an_smr_that_is_lost_leaves_the_verdict_open(run: RunFile) -> None:

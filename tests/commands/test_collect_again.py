@@ -24,7 +24,7 @@ from cellapp.commands.stages import (
     counted_basis,
     read_stages,
 )
-from cellapp.estimation.readings import Reading
+from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import CheckFailed
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import VERIFY
@@ -39,7 +39,7 @@ def measure_again(run: RunFile, stop: int) -> None:
     """As the session does it."""
     session = run.begin_session(str(stop + 1))
     rows = {
-        name: Reading(q=np.full(len(arm.type.joints), float(stop)), p_M=np.ones(3), time_s=9.0)
+        name: Readings.one(q=np.full(len(arm.type.joints), float(stop)), p_M=np.ones(3), time_s=9.0)
         for name, arm in run.profile.arms.items()
     }
     replace_stop(run, stop, rows)

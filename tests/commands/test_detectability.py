@@ -11,19 +11,17 @@ import pytest
 from typer.testing import CliRunner
 
 from cellapp.cell.planning.plan import make_stops
-from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
-from cellapp.commands.report.sections import power_section
+from cellapp.commands.report.sections import detectability_section
 from cellapp.commands.trials.detectability import (
+    DetectabilityResult,
     NamingTrial,
     PlannedCell,
-    PowerResult,
     TrialCell,
+    detectability_at,
     naming_trial,
-    power_at,
-    power_of,
-    power_sentence,
-    stored_power,
+    plan_detects,
+    stored_detectability,
     trial_cell,
 )
 from cellapp.estimation.uncertainty.detection_curve import NamingCurve
@@ -32,7 +30,7 @@ from cellapp.ground.executors import Gathered, PoolWork, TimeLimit
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import JobToken, Notice, Progress
 from tests.program import app
-from tests.twin import PROFILES, whole_twin
+from tests.twin import whole_twin
 from tests.verbs import plan_new_run
 
 
@@ -106,16 +104,6 @@ def test_a_large_effect_is_named_and_a_small_one_is_not(cell: TrialCell) -> None
     assert naming_trial(cell, asked.model_copy(update={"size_mm": 0.001})).accepted == ()
 
 
-def test_a_real_cell_is_simulated_as_it_stands() -> None:
-    profile = load_profile(PROFILES / "ur10-ur5.yaml")
-    assert profile.plant is None
-    name, *_ = profile.arms
-    q = tuple(tuple(row) for row in (np.array(profile.arms[name].home) + np.arange(5)[:, None] * 0.1).tolist())
-    rest: Any = {"time_s": tuple(np.arange(5.0)), "dwell_s": (1.0,) * 5}
-    found = trial_cell(PlannedCell(profile=profile, q={name: q}, step={name: q}, **rest))
-    assert 5e-3 < found.noise_rms_mm(name) < 0.1
-
-
 # -- rounds -----------------------------------------------------------------------------------------------------------
 
 TRUE_MM = {"backlash": 0.03, "target_slip": 0.1}
@@ -137,12 +125,12 @@ def imitation(asked: Sequence[NamingTrial], all_may_fail: bool) -> Gathered[Nami
     return Gathered(tuple(_imitated(one) for one in asked), {})
 
 
-def power_by(
+def detectability_by(
     planned: PlannedCell,
     trials: int,
     limit: TimeLimit,
     search: Callable[[Sequence[NamingTrial], bool], Gathered[NamingTrial]] = imitation,
-) -> PowerResult:
+) -> DetectabilityResult:
     """What trials by another search give."""
 
     def gather(function: Any, prepare: Any, given: Any, found: Any, job: Any, work: Any, *, all_may_fail: bool) -> Any:
@@ -151,19 +139,19 @@ def power_by(
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr("cellapp.commands.trials.detectability.gather", gather)
         told = list[Progress]()
-        found = power_of(planned, trials, 3, PoolWork(job=JobToken(told.append)), limit)
+        found = plan_detects(planned, trials, 3, PoolWork(job=JobToken(told.append)), limit)
     assert isinstance(told[0].detail, Notice)
     assert limit.words() in told[0].detail.text
     return found
 
 
 @pytest.fixture(scope="module")
-def result(planned: PlannedCell) -> PowerResult:
+def result(planned: PlannedCell) -> DetectabilityResult:
     """What such a search gives."""
-    return power_by(planned, 16, TimeLimit.from_now(None))
+    return detectability_by(planned, 16, TimeLimit.from_now(None))
 
 
-def test_sizes_are_those_from_which_the_search_names(result: PowerResult) -> None:
+def test_sizes_are_those_from_which_the_search_names(result: DetectabilityResult) -> None:
     arm = result.arms["left"]
     found = {one.effect: one for one in arm.effects}
     for effect, true_mm in TRUE_MM.items():
@@ -184,27 +172,6 @@ def test_sizes_are_those_from_which_the_search_names(result: PowerResult) -> Non
     assert found["payload_compliance"].trials == 0
 
 
-def test_the_time_is_shared_among_the_effects(planned: PlannedCell) -> None:
-    clock = [0.0]
-
-    def slow(asked: Sequence[NamingTrial], all_may_fail: bool) -> Gathered[NamingTrial]:
-        clock[0] += 2.0 * len(asked)
-        return imitation(asked, all_may_fail)
-
-    found = power_by(planned, 16, TimeLimit(5.0, 0.0, lambda: clock[0]), slow)
-    assert clock[0] <= 300.0
-    assert found.ended_by_time
-    assert "the time ended them" in power_sentence(found)
-    counts = [one.trials for arm in found.arms.values() for one in arm.effects if one.trials]
-    assert max(counts) - min(counts) <= 4
-    assert sum(counts) >= 140
-    clock[0] = 0.0
-    hurried = power_by(planned, 16, TimeLimit(0.1, 0.0, lambda: clock[0]), slow)
-    assert clock[0] <= 6.0
-    limits = [one.limit for arm in hurried.arms.values() for one in arm.effects]
-    assert "not tried: the time ended before" in limits
-
-
 def test_trials_that_cannot_be_computed_are_said_and_not_asked_for_again(planned: PlannedCell) -> None:
     asked = list[NamingTrial]()
 
@@ -220,7 +187,7 @@ def test_trials_that_cannot_be_computed_are_said_and_not_asked_for_again(planned
         failures = {f"{one.arm}, {one.effect}, {one.seed}": "refused" for one, no in zip(given, lost) if no}
         return Gathered(tuple(None if no else one for one, no in zip(found, lost)), failures)
 
-    found = power_by(planned, 8, TimeLimit.from_now(None), failing)
+    found = detectability_by(planned, 8, TimeLimit.from_now(None), failing)
     assert len(set(asked)) == len(asked)
     effects = {name: {one.effect: one for one in arm.effects} for name, arm in found.arms.items()}
     assert effects["left"]["backlash"].trials == 0
@@ -232,16 +199,16 @@ def test_trials_that_cannot_be_computed_are_said_and_not_asked_for_again(planned
 
 
 def test_a_run_keeps_it_and_its_report_shows_it(
-    result: PowerResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    result: DetectabilityResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked = list[tuple[PlannedCell, int, int]]()
 
-    def power_of_these(planned: PlannedCell, trials: int, seed: int, work: PoolWork, limit: TimeLimit) -> PowerResult:
+    def detects(planned: PlannedCell, trials: int, seed: int, work: PoolWork, limit: TimeLimit) -> DetectabilityResult:
         assert limit.minutes == 3.0
         asked.append((planned, trials, seed))
         return result
 
-    monkeypatch.setattr("cellapp.commands.trials.detectability.power_of", power_of_these)
+    monkeypatch.setattr("cellapp.commands.trials.detectability.plan_detects", detects)
     plan_new_run(twin(stops=30), tmp_path / "run")
     CliRunner().invoke(
         app,
@@ -251,8 +218,8 @@ def test_a_run_keeps_it_and_its_report_shows_it(
     ((planned, trials, seed),) = asked
     assert (len(planned.time_s), trials, seed) == (30, 8, 5)
     with RunFile.open(tmp_path / "run") as run:
-        assert stored_power(run) == result
-        section = power_section(run)
+        assert stored_detectability(run) == result
+        section = detectability_section(run)
     assert section is not None
     assert "blind trials" in section.message
     assert len(section.parts) == 2 * len(result.arms)
@@ -261,4 +228,4 @@ def test_a_run_keeps_it_and_its_report_shows_it(
 def test_a_run_without_a_plan_is_refused(tmp_path: Path) -> None:
     RunFile.create(tmp_path / "run", twin()).close()
     with pytest.raises(InputError, match="plan"):
-        power_at(tmp_path / "run", 8, 0, PoolWork(), TimeLimit.from_now(None))
+        detectability_at(tmp_path / "run", 8, 0, PoolWork(), TimeLimit.from_now(None))

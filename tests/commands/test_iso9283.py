@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -28,8 +27,8 @@ from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Progress
 from cellapp.ground.results import ISO9283
-from cellapp.interfaces import cli
 from tests.cell.planning.planned_cells import one_arm
+from tests.interfaces.cli.conftest import exit_code
 from tests.twin import small_twin
 
 
@@ -37,16 +36,6 @@ from tests.twin import small_twin
 def _few_orientations(monkeypatch: pytest.MonkeyPatch) -> None:
     """The cube need not be the largest here."""
     monkeypatch.setattr(programme, "_SEEDS", 4)
-
-
-def code_of(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
-    """Run the program in this process; return its exit code."""
-    monkeypatch.setattr(sys, "argv", ["cellapp", *map(str, arguments)])
-    try:
-        cli.main()
-    except SystemExit as ended:
-        return int(ended.code or 0)
-    return 0
 
 
 def left_alone() -> Profile:
@@ -88,8 +77,7 @@ def test_a_calibrated_run_is_tested_as_found_and_as_left(finished_copy: Path) ->
     assert titles[0] == "Characteristics against their tolerances"
     assert "Pose accuracy AP and repeatability RP [mm]" in titles
     message, *others = iso9283_sentences(result)
-    assert "as found" in message
-    assert "as left" in message
+    assert "mm (nominal), " in message
     assert section.message.lower() == f"{message.lower()}."
     assert [part.title for part in section.parts if isinstance(part, Chart)] == ["Pose accuracy at the five poses"]
     assert any("characteristics of orientation" in line for line in others)
@@ -135,13 +123,13 @@ def test_the_command_makes_one_test_in_a_new_run(
     its_own = profile.tolerances.model_copy(update={"pose_accuracy": 0.05, "distance_accuracy": 1e-6})
     path = saved(profile.model_copy(update={"tolerances": its_own}), tmp_path)
     out = tmp_path / "result.json"
-    assert code_of(monkeypatch, "iso9283", "distance", path, "--run", tmp_path / "run") == 2  # a folder mistyped
+    assert exit_code(monkeypatch, "iso9283", "distance", path, "--run", tmp_path / "run") == 2  # a folder mistyped
     assert "holds no run" in capsys.readouterr().err
     assert not (tmp_path / "run").exists()
-    assert code_of(monkeypatch, "iso9283", "distance", path) == 2
+    assert exit_code(monkeypatch, "iso9283", "distance", path) == 2
     assert "--nominal" in capsys.readouterr().err
     arguments = ("--run", tmp_path / "run", "--cycles", 2, "--nominal", "--json", out)
-    assert code_of(monkeypatch, "iso9283", "distance", path, *arguments) == 1
+    assert exit_code(monkeypatch, "iso9283", "distance", path, *arguments) == 1
     printed = " ".join(capsys.readouterr().out.split())
     assert "not all that has a tolerance conforms" in printed
     assert not re.search("nearer|wider|more cycles|another instrument", printed), "a calibration would help"
@@ -159,5 +147,5 @@ def test_the_command_makes_one_test_in_a_new_run(
 def test_the_name_of_the_test_may_be_left_out(
     words: tuple[str, ...], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    assert code_of(monkeypatch, "iso9283", *words, tmp_path / "missing.yaml") == 2
+    assert exit_code(monkeypatch, "iso9283", *words, tmp_path / "missing.yaml") == 2
     assert "missing.yaml" in capsys.readouterr().err

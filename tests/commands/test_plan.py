@@ -34,7 +34,7 @@ from cellapp.commands.plan.run import (
     stored_plan,
 )
 from cellapp.commands.show.overview import run_overview
-from cellapp.estimation.readings import Reading
+from cellapp.estimation.readings import Readings
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.ground.profile import Profile
@@ -216,19 +216,6 @@ def test_a_running_job_keeps_its_plan_and_a_cancelled_change_writes_nothing(run:
     assert not any("plan changed" in event.text for event in run.events())
 
 
-@pytest.mark.slow
-def test_changes_are_the_same_for_the_same_run(plan: PlannedStops, tmp_path: Path) -> None:
-    added = []
-    for folder in ("one", "two"):
-        with RunFile.create(
-            tmp_path / folder, quickly_planned(STOPS), lambda run: write_planned_stops(run, plan)
-        ) as run:
-            extend_plan(run, 2)
-            replan(run)
-            added.append(read_planned_stops(run))
-    same_stops(*added)
-
-
 @pytest.mark.parametrize(("proposed", "says"), [(set(), ""), ({5}, "too few stops can be reached")])
 def test_a_design_of_fewer_stops_than_asked_leaves_the_last_rows_out(
     run: RunFile, plan: PlannedStops, proposed: set[int], says: str, monkeypatch: pytest.MonkeyPatch
@@ -271,7 +258,7 @@ def test_a_new_design_changes_what_it_may_and_nothing_else(
     with TemporaryDirectory() as folder, RunFile.create(Path(folder) / "run", profile) as run:
         write_planned_stops(run, stops)
         for stop in sorted(measured | failed):
-            rows = {name: Reading(q=q[stop], p_M=np.zeros(3)) for name, q in stops.q.items()}
+            rows = {name: Readings.one(q=q[stop], p_M=np.zeros(3)) for name, q in stops.q.items()}
             outcomes = [Outcome(stop, name, "left out", "a column") for name in rows]
             run.add_stop(stop, rows if stop in measured else {}, [] if stop in measured else outcomes)
         stay = measured | (asked - failed)

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import inspect
 import json
 import subprocess
 import sys
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
 import pytest
 from pydantic import BeforeValidator
@@ -17,25 +16,22 @@ from typer.testing import CliRunner
 from cellapp.cell.run import RunFile
 from cellapp.cell.targets.records import ArmVerification, MeasuredTarget, VerifyResult
 from cellapp.commands.check.request import VERB as CHECK
-from cellapp.commands.compensate.request import VERB as COMPENSATE
 from cellapp.commands.discover.request import VERB as DISCOVER
-from cellapp.commands.docs.schema import results_by_name, written_results
 from cellapp.commands.push.request import VERB as PUSH
 from cellapp.commands.record import Asked, Request, Stored, Variant, Verb, View, Work
-from cellapp.commands.registry import STORING, records
+from cellapp.commands.registry import records
 from cellapp.commands.run.request import VERB as RUN
 from cellapp.commands.run.result import WholeRunResult
-from cellapp.commands.run_results import RunResults
-from cellapp.commands.show.request import OWN_PARTS, show_verb
+from cellapp.commands.show.request import show_verb
 from cellapp.commands.show.result import Shown
 from cellapp.commands.show.view import view
 from cellapp.commands.view.charts import Axis, Chart
-from cellapp.commands.view.parts import Facts, Parts, Section, printed, section_of
+from cellapp.commands.view.parts import Facts, Parts, Section, printed
 from cellapp.commands.view.table import Column, Table
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import ErrorSummary
 from cellapp.interfaces.cli.command_outputs import Commands
-from cellapp.interfaces.cli.verb_commands import add_verb, command_of, group_of
+from cellapp.interfaces.cli.verb_commands import add_verb, group_of
 from cellapp.interfaces.page.figures import drawn_parts
 from cellapp.interfaces.page.page import template
 from cellapp.interfaces.python.printed import html_view
@@ -47,7 +43,6 @@ from cellapp.interfaces.tui.dialogs.question import Reading
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.verb_jobs import job_of
 from tests.commands.toys.greet import VERB as GREET
-from tests.commands.toys.greet import GreetResult
 from tests.interfaces.tui.pilot import PROFILES, SMALL, opened, shown_text, until
 from tests.twin import finished_twin
 
@@ -62,14 +57,6 @@ def test_what_a_verb_stores_is_a_part_of_show() -> None:
     assert show.asked({"folder": "here", "part": "toys"}).model_dump()["part"] == "toys"
     with pytest.raises(InputError, match="show: "):
         show.asked({"folder": "here", "part": "calibration"})
-
-
-def test_every_stored_part_names_stages_that_there_are() -> None:
-    stored = [one for verb in records(STORING) for one in verb.stored]
-    parts = [*OWN_PARTS, *(one.part for one in stored)]
-    assert len(set(parts)) == len(parts)
-    assert {stage for one in stored for stage in one.stages} <= set(RunResults.model_fields)
-    assert len({verb.name for verb in records()}) == len(records())
 
 
 def test_a_part_says_that_it_is_out_of_date_and_its_json_is_its_own() -> None:
@@ -89,13 +76,6 @@ def test_only_a_push_that_measures_can_fail() -> None:
     for verify in (True, False):
         request = PUSH.asked({"folder": "here", "targets": (), "verify": verify})
         assert bool(PUSH.view(WORSE, request).failed) is verify
-
-
-def test_targets_are_typed_as_a_file_or_given_by_a_program() -> None:
-    parameter = command_of(COMPENSATE).__signature__.parameters["targets"]  # type: ignore[attr-defined]
-    assert parameter.annotation.__origin__ is Path
-    for given in (Path("targets.yaml"), (1, 2)):
-        assert COMPENSATE.asked({"folder": "here", "targets": given}).model_dump()["targets"] == given
 
 
 def test_a_job_is_called_as_its_request_says() -> None:
@@ -124,14 +104,6 @@ def test_plain_text_says_everything_but_charts_and_details_in_its_order() -> Non
     for text in (plain_text(PARTS), html_view(PARTS)):
         assert all(words in text for words in ("first", "title: text", "a table", "shown", "last"))
         assert not any(words in text for words in ("a chart", "details", "empty", "how to read"))
-
-
-def test_the_message_of_a_section_is_its_first_line_or_what_is_said() -> None:
-    assert (section_of([TABLE, "it holds", "second"]).message, section_of([], message="yes!").message) == (
-        "It holds.",
-        "yes!".capitalize(),
-    )
-    assert section_of([TABLE, "it holds", "second"]).parts == [TABLE, "second"]
 
 
 def test_the_page_draws_parts_by_their_kind_and_leaves_empty_charts_out() -> None:
@@ -218,12 +190,6 @@ def test_words_after_a_verb_fix_fields_and_the_first_may_be_left_out(asked: list
     assert CliRunner().invoke(app, ["toy", "all"]).exit_code == 2, "the command line needs the cell"
 
 
-def test_a_field_has_the_type_of_the_command_line() -> None:
-    parameters = inspect.signature(command_of(VERB)).parameters
-    assert list(parameters) == ["cell", "sides", "parts", "count", "word", "json_file"]
-    assert get_args(parameters["sides"].annotation)[0] == Literal["both"] | None
-
-
 # -- A verb is one folder and one word: a toy appears on the command line, in schemas and palette ----------------------
 
 WITH_TOY = (*records(), GREET)
@@ -247,11 +213,6 @@ def test_a_command_with_its_options_its_output_and_its_json(run: Path) -> None:
     written = json.loads(CliRunner().invoke(app, ["greet", str(run), "--json", "-"]).stdout)
     assert written == {"schema": "toy-greet", "version": 1, "arms": ["left", "right"], "times": 1}
     assert CliRunner().invoke(app, ["greet", str(run), "--times", "4"]).exit_code == 2
-
-
-def test_a_schema() -> None:
-    assert GreetResult in written_results(WITH_TOY)
-    assert "toy-greet" in results_by_name(written_results(WITH_TOY))
 
 
 async def test_a_dialog_a_job_and_a_text_in_the_terminal_application(

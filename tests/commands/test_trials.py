@@ -37,8 +37,8 @@ from drivers.plant import OUTSIDE, REALISTIC
 from tests.approved import assert_approved, commands_of
 from tests.twin import PROFILES, small_twin
 
-STOPS, SEED = 60, 5
-ROWS = {"identify": 20, "train": 20, "validate_": 20, "pair_identify": 10, "pair_validate": 10}
+STOPS, SEED = 36, 5
+ROWS = {"identify": 12, "train": 12, "validate_": 12, "pair_identify": 6, "pair_validate": 6}
 
 
 def small() -> Profile:
@@ -316,7 +316,7 @@ def test_a_run_that_fails_is_reported_and_does_not_stop_the_others(
     result = judge_trials(folder, PoolWork())
     assert len(result.failed) == 1
     assert result.failed[0].startswith(
-        "run-0001: arm 'left': 60 readings leave 60 different configurations to identify and 0"
+        f"run-0001: arm 'left': {STOPS} readings leave {STOPS} different configurations to identify and 0"
     )
     assert [trial.run for trial in result.trials] == ["run-0002", "run-0003"]
 

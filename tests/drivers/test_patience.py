@@ -36,15 +36,6 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     return Clock(monkeypatch)
 
 
-def test_a_limit_is_over_after_its_time(clock: Clock) -> None:
-    limit, looks = Patience(1.0), 0
-    while limit.slice_s > 0.0:
-        clock.run(SLICE_S)
-        looks += 1
-    assert looks == pytest.approx(1.0 / SLICE_S, abs=1)
-    assert limit.over
-
-
 def test_a_suspension_hardly_counts_and_leaves_time_to_read(clock: Clock) -> None:
     limit = Patience(0.3)
     clock.run(0.04)

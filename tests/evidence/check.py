@@ -32,7 +32,7 @@ from drivers.plant.random_effects import suggest
 from tests.evidence.shared.cells import TWIN
 from tests.evidence.shared.changes import Changed, parameter_plant, shifted_plant, worn_plant
 from tests.evidence.skeleton import Evidence, Limit, Share, Table
-from tests.verbs import check_run
+from tests.verbs import check_run, opened_by
 
 TITLE = "Check"
 MODELS = ("geometry", "network", "effects")
@@ -104,7 +104,8 @@ def checks_of(run: RunFile, case: Mapping[str, Any]) -> list[dict[str, Any]]:
         of_kind = [one for one in possible if one.kind == kind]
         for place in rng.permutation(len(of_kind))[: case["each"]].tolist():
             change = of_kind[place]
-            checks.append(_fact(kind, change.what, check_run(run, open_with=change.opened)))
+            with opened_by(change.opened):
+                checks.append(_fact(kind, change.what, check_run(run)))
     return checks
 
 

@@ -52,7 +52,7 @@ def one(case: dict[str, Any]) -> dict[str, Any]:
     assert calibration.pair is not None, calibration.notes
     methods = calibration.pair.methods
     cooperative = {
-        name: 1e3 * float(np.abs(methods[name if name in methods else "method_1"].errors["distances"]).mean())  # type: ignore[index]
+        name: methods[name if name in methods else "method_1"].by_transform_mm["distances"].mean  # type: ignore[index]
         for name in METHODS
     }
     seen_elsewhere = measured_plan(_moved(profile, seed), plan, seed + 1)

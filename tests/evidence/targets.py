@@ -10,7 +10,6 @@ import argparse
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -18,7 +17,6 @@ from typing import Any
 import numpy as np
 
 from cellapp.cell.driving.cell import build_plant, open_cell
-from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.driving.target_visit import push
 from cellapp.cell.planning.planned_stops import planned_time, read_planned_stops
 from cellapp.cell.profile import load_profile
@@ -48,7 +46,7 @@ from drivers.plant import Plant
 from tests.evidence.shared.cells import TWIN
 from tests.evidence.shared.target_draws import sample_hidden, sample_pairs, sample_targets
 from tests.evidence.skeleton import Evidence, Limit, Table
-from tests.verbs import locate_run
+from tests.verbs import Opened, collect_by, locate_run, opened_by
 
 _FLOOR_SEED = 0xF100
 """Mixed with the trial's seed."""
@@ -90,7 +88,7 @@ def one(case: dict[str, Any]) -> dict[str, Any]:
         duration_s = planned_time(profile, read_planned_stops(run)).total_s
         hidden = sample_hidden(twin, seed, duration_s)
         plant = build_plant(with_hidden(twin, hidden, seed))
-        collect_run(run, opened=partial(open_cell, plant=plant))
+        collect_by(_kept(plant), run)
         calibrate_run(run)
         discover_run(run)
         ranges = {name: ConditionRanges.of(run.readings(name)) for name in profile.arms}
@@ -128,6 +126,11 @@ def _models(run: RunFile) -> tuple[CellModel, CellModel]:
     return model_of(run, stage_in_force(run, stages)), model_of(run, stages.current[CALIBRATE])
 
 
+def _kept(plant: Plant) -> Opened:
+    """Open the cell as the last job left it."""
+    return lambda profile, **options: open_cell(profile, **{**options, "plant": plant})
+
+
 def _locate(run: RunFile, bench: _Bench) -> LocateVerdict:
     """Move the tracker and locate it again; the new station is known as well as one measured by pacing."""
     pose, rng = bench.profile.tracker.pose, np.random.default_rng([bench.seed, _STATION_SEED])
@@ -138,7 +141,8 @@ def _locate(run: RunFile, bench: _Bench) -> LocateVerdict:
     paced = T_C_M[:3, 3] + _PACED_M * rng.standard_normal(3)
     yaw, pitch, roll = np.array(zyx_angles(T_C_M[:3, :3])) + _PACED_RAD * rng.standard_normal(3)
     rough = Pose(position=tuple(paced.tolist()), rpy=(roll, pitch, yaw))
-    return locate_run(run, tracker_pose=rough, open_with=partial(open_cell, plant=bench.plant)).verdict
+    with opened_by(_kept(bench.plant)):
+        return locate_run(run, tracker_pose=rough).verdict
 
 
 def _state(bench: _Bench, count: int) -> dict[str, dict[str, float | None]]:
@@ -158,7 +162,8 @@ def _state(bench: _Bench, count: int) -> dict[str, dict[str, float | None]]:
 
 def _measured(bench: _Bench, targets: Sequence[Target]) -> VerifyResult:
     commands = compensate(bench.profile, bench.model, targets, ranges=bench.ranges)
-    return push(bench.profile, bench.model, commands, verify=True, open_with=partial(open_cell, plant=bench.plant))
+    with opened_by(_kept(bench.plant)):
+        return push(bench.profile, bench.model, commands, verify=True)
 
 
 def _arm_figures(bench: _Bench, name: str, targets: Sequence[MeasuredTarget]) -> dict[str, float | None]:

@@ -167,12 +167,6 @@ def test_the_first_blocks_of_the_readme_are_those_that_ci_runs() -> None:
     assert all(not example.words and example.text.startswith("python -m pip install") for example in first)
 
 
-def test_a_sentence_may_leave_arguments_out() -> None:
-    assert not not_understood("cellapp push DIR TARGETS [--verify] [--iterate N]", whole=False)
-    assert not not_understood("cellapp trials ...", whole=False)
-    assert "No such option" in not_understood("cellapp push [--verfy]", whole=False)
-
-
 def test_a_line_that_is_not_printed_is_found() -> None:
     assert not_printed(" a   b\nc ... d\n", "a b  \nc c2 c3 d e\n") == ""
     assert not_printed("a b\nc ... x\n", "a b\nc c2 d\n") == "not printed: c ... x"

@@ -15,10 +15,12 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from cellapp.cell.driving.cell import Cell
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.run_arms import CONTROLLERS_RESULT, STORED_CONTROLLERS, ControllerIdentity, recorded_controllers
+from cellapp.cell.safety.cell_bodies import require_arms
 from cellapp.cell.targets.prediction import Command
 from cellapp.cell.targets.ranges import conditions_of
 from cellapp.ground.control import Stopped
@@ -138,11 +140,7 @@ def require_same_arms(profile: Profile, model: CellModel, commands: Sequence[Com
     """Raise ``InputError`` unless profile, model and commands are of the same arms and SMR mounts."""
     if not commands:
         raise InputError("push: there are no targets; give a list with at least one")
-    if set(model.arms) != set(profile.arms):
-        raise InputError(
-            f"push: the calibration is of arms {', '.join(model.arms)}, the profile of arms {', '.join(profile.arms)};"
-            " nothing was moved. Calibrate this run again"
-        )
+    require_arms(profile, model)
     for command in commands:
         if command.arm not in profile.arms:
             raise InputError(
@@ -266,11 +264,7 @@ _HUNG = "hung_load"
 
 def hung_load(run: RunFile) -> int:
     """Return the index of the load that was attached last; 0 in a run whose load was never changed."""
-    text = run.read_result(_HUNG)
-    try:
-        return 0 if text is None else int(text)
-    except ValueError:
-        raise InputError(f"{run.path}: the document '{_HUNG}' is damaged; restore the run from a copy") from None
+    return run.read_checked(_HUNG, TypeAdapter(int), 0, "restore the run from a copy")
 
 
 def change_load(run: RunFile, load: int, stated: Mapping[str, float] | None, hung: Hung | None) -> Profile:

@@ -17,13 +17,13 @@ import numpy as np
 from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.measuring import APART_M, MISSED, FoundPoint, SmrSearch
 from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover
-from cellapp.cell.driving.supervision import MovingCell, Opened, moving_cell
+from cellapp.cell.driving.supervision import MovingCell, moving_cell
 from cellapp.cell.driving.target_visit import Driver
 from cellapp.cell.planning.planned_stops import tell_time, visits_s
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import clear_stops, visible_stops
 from cellapp.estimation.monitoring.belief import SequentialState
-from cellapp.estimation.readings import Reading, Readings
+from cellapp.estimation.readings import Readings
 from cellapp.ground.control import JobControl
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import HardwareError, InputError
@@ -84,13 +84,12 @@ def drive_check(
     *,
     confirm: Confirm | None = None,
     opened: Callable[[Cell], object] = lambda cell: None,
-    open_with: Opened | None = None,
 ) -> DrivenCheck:
     """Visit the stops with all arms together until ``test`` is decided.
 
     If the gate refuses a stop for all arms together, each goes there alone, with the others at home. ``opened`` is
     called with the open cell before anything moves; an exception from it ends the job. ``confirm`` is called before the
-    first motion. ``open_with`` opens the cell.
+    first motion.
 
     Raises
     ------
@@ -102,7 +101,7 @@ def drive_check(
         On request; the arms have been braked.
     """
     profile = task.profile
-    with moving_cell(profile, task.model, control, confirm=confirm, opened=opened, open_with=open_with) as moving:
+    with moving_cell(profile, task.model, control, confirm=confirm, opened=opened) as moving:
         repeat, mover = profile.collection.repeat, moving.mover
         repeats = 1 if repeat.precision is None else repeat.times
         search = SmrSearch(profile, task.model, mover, np.eye(4), task.excess_m, repeats, moving.hold)
@@ -191,7 +190,7 @@ class _Checking:
         rows = {name: self._reading(name, point) for name, point in found.items()}
         # arms that went to a stop one by one count as two stops: the other arm was at home
         count = len(self.driven.stops)
-        state = self.test.add({name: row.as_readings(count) for name, row in rows.items()})
+        state = self.test.add({name: row.at_stop(count) for name, row in rows.items()})
         self.driven.stops.append(MeasuredStop(number, found, state, self.elapsed_s()))
         return state.sure
 
@@ -211,7 +210,7 @@ class _Checking:
             )
         return None
 
-    def _reading(self, name: str, found: FoundPoint) -> Reading:
+    def _reading(self, name: str, found: FoundPoint) -> Readings:
         """Return the reading of a point with the conditions of its arm, as collecting stores it.
 
         It has no time: seconds since the start of the run would be far beyond the times of the calibration.

@@ -34,7 +34,7 @@ from cellapp.cell.driving.motion import (
 from cellapp.cell.driving.reaction import CellStopped, StopCause, StopReaction, cause_of
 from cellapp.cell.driving.records import CollectResult, End
 from cellapp.cell.driving.stops_to_collect import StopQueue, Travel, Work, forbidden_stops, remaining_work, work_again
-from cellapp.cell.driving.supervision import CellSupervisor, Opened, opening, reacting
+from cellapp.cell.driving.supervision import CellSupervisor, reacting
 from cellapp.cell.driving.sweeping import SweepDriver, Sweeps, due_sweeps
 from cellapp.cell.planning.planned_stops import planned_time, tell_time
 from cellapp.cell.run import Outcome, RunFile, SessionEnd
@@ -48,7 +48,7 @@ from cellapp.cell.run.measured_again import (
 from cellapp.cell.run.sqlite_file import OutcomeKind
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies
-from cellapp.estimation.readings import Reading
+from cellapp.estimation.readings import Readings
 from cellapp.ground.control import Aborted, JobControl, Stopped
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import HardwareError, InputError
@@ -229,7 +229,7 @@ class CollectSession:
         else:
             self._emit(note=f"stop {stop + 1}: sweeps of {' and '.join(recorded) or 'no arm'} are recorded")
 
-    def _report(self, stop: int, rows: Mapping[str, Reading]) -> None:
+    def _report(self, stop: int, rows: Mapping[str, Readings]) -> None:
         """Refit the running model and report what it shows; log suspicions."""
         for detail in self._model.add(stop, rows):
             if isinstance(detail, Suspicion):
@@ -246,7 +246,7 @@ class CollectSession:
         """Standard uncertainty [mm] of a predicted SMR position due to the parameters, by arm."""
         return self._model.standard_error_mm
 
-    def _check_missed(self, rows: Mapping[str, Reading]) -> None:
+    def _check_missed(self, rows: Mapping[str, Readings]) -> None:
         """Pause after too many consecutive stops without a reading; raise ``HardwareError`` if nobody attends."""
         self._missed = 0 if rows else self._missed + 1
         if self._missed < MOST_MISSED_IN_A_ROW:
@@ -359,13 +359,13 @@ class CollectSession:
 
     # -- measurement ---------------------------------------------------------------------------------------------------
 
-    def _measure(self, stop: int, states: Mapping[str, ArmState]) -> tuple[dict[str, Reading], list[Outcome]]:
+    def _measure(self, stop: int, states: Mapping[str, ArmState]) -> tuple[dict[str, Readings], list[Outcome]]:
         """Measure the arms in the order of their dwell times.
 
         Return the readings of their SMRs, and an outcome for each SMR that was not measured.
         """
         temperature_c = None if self._air is None else self._air.at_stop(stop)
-        rows: dict[str, Reading] = {}
+        rows: dict[str, Readings] = {}
         outcomes: list[Outcome] = []
         dwell_s = {name: self.work.dwell_s(stop, name) for name in states}
         for name in sorted(states, key=lambda name: dwell_s[name]):
@@ -386,7 +386,7 @@ class CollectSession:
 
     def _reading(
         self, stop: int, name: str, state: ArmState, point: PointAtRest, temperature_c: float | None
-    ) -> Reading:
+    ) -> Readings:
         """Return the reading of a point just measured; its dwell time lasts until the middle of the averaging."""
         rested_s, carried = self._mover.rested_s(name), self.profile.arms[name].payload
         return self._mover.reading(
@@ -407,7 +407,7 @@ class CollectSession:
             self.began_s = now_s - self.work.earlier_s
         return self.began_s
 
-    def _store(self, stop: int, rows: Mapping[str, Reading], outcomes: list[Outcome]) -> None:
+    def _store(self, stop: int, rows: Mapping[str, Readings], outcomes: list[Outcome]) -> None:
         """Store a stop; if writing fails, pause so that a person can free the disk, then try again."""
         while True:
             try:
@@ -475,7 +475,6 @@ def collect_run(
     accept_drift: bool = False,
     again: Collection[int] | None = None,
     confirm: Confirm | None = None,
-    opened: Opened | None = None,
     payload: Mapping[str, float] | None = None,
     hung: Hung | None = None,
 ) -> CollectResult:
@@ -484,7 +483,7 @@ def collect_run(
     If an SMR cannot be measured, this is recorded and its arm has no reading; the stop counts as done for the other
     arm, and a reserve stop is added. Every stop is reached as planned, with its own approach and dwell. If the gate
     refuses all ways to a stop, it is tried again at the end, then left out; one that discovery proposed is left out at
-    once. Once splits are drawn, new readings are for training: the validation set must not change.
+    once. Once splits are sampled, new readings are for training: the validation set must not change.
 
     With ``again`` only those stops are visited, as planned. Their new readings replace the earlier ones, which are kept
     as replaced; an arm without a new reading keeps its earlier one.
@@ -512,7 +511,7 @@ def collect_run(
     planned_s = planned_time(run.profile, work.route.take(work.stops)).total_s if work.stops else 0.0
     tell_time(control, "collect", run.profile, planned_s + sweeps_s, work.stored, work.total)
     before = replaced_counts(run)
-    sessions = _Sessions(run, control, accept_drift, confirm, opened)
+    sessions = _Sessions(run, control, accept_drift, confirm)
     for load in work.loads or (0,):
         profile = change_load(run, load, payload, hung)
         payload = None  # it describes the first load only
@@ -543,7 +542,6 @@ class _Sessions:
     control: JobControl
     accept_drift: bool
     confirm: Confirm | None
-    opened: Opened | None
     notes: list[str] = field(default_factory=list)
     standard_error_mm: Mapping[str, float] = field(default_factory=dict)
     plant: Plant | None = None
@@ -553,13 +551,11 @@ class _Sessions:
 
     def collect(self, profile: Profile, work: Work) -> End:
         """Collect stops with the load of the profile. Raise as ``collect_run``."""
-        run, control, notes, opened = self.run, self.control, self.notes, self.opened
+        run, control, notes = self.run, self.control, self.notes
         bodies = cell_bodies(profile)
-        if opened is None and self.plant is not None:
-            opened = partial(open_cell, plant=self.plant, control=control)
         if profile.plant is not None:
             profile = profile.model_copy(update={"plant": profile.plant.after(len(run.sessions()))})
-        with opening(profile, control, opened) as cell:
+        with open_cell(profile, plant=self.plant, control=control) as cell:
             self.plant = cell.plant
             if run.profile.loads > 1:
                 require_load(cell, profile)

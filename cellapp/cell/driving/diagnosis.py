@@ -37,7 +37,7 @@ LONGEST_PROBE_S = 5.0
 _SAMPLES = 2000
 """Number of random configurations for the visible share; its standard error is about 1 %."""
 _LEAST_VISIBLE = 0.002
-"""Smallest visible share (4 of the draws) with which planning is expected to find enough stops."""
+"""Smallest visible share (4 of the samples) with which planning is expected to find enough stops."""
 _OLDEST_PYTHON, _FIRST_UNTRIED_PYTHON = (3, 11), (3, 13)
 
 

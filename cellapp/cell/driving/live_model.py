@@ -12,7 +12,7 @@ import numpy as np
 import scipy
 
 from cellapp.estimation.calibration.online import NO_GEOMETRY_M, Innovation, OnlineFit, Residuals
-from cellapp.estimation.readings import Reading, Readings
+from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import AirReport, StopReport, Suspicion
@@ -75,7 +75,7 @@ class LiveModel:
         normals = {name: np.array(arm.smr.normal) / math.hypot(*arm.smr.normal) for name, arm in profile.arms.items()}
         self._suspicions = Suspicions(normals)
 
-    def add(self, stop: int, rows: Mapping[str, Reading]) -> list[StopReport | Suspicion]:
+    def add(self, stop: int, rows: Mapping[str, Readings]) -> list[StopReport | Suspicion]:
         """Refit with the readings of a stop; return a report for each arm with a model, and suspicions."""
         found: list[StopReport | Suspicion] = []
         innovations = {}
@@ -84,7 +84,8 @@ class LiveModel:
             if fit is None:
                 continue
             try:
-                report = fit.add(stop, reading.q, reading.p_M, reading.covariance_M)
+                covariance_M = None if reading.covariance_M is None else reading.covariance_M[0]
+                report = fit.add(stop, reading.q[0], reading.p_M[0], covariance_M)
             except np.linalg.LinAlgError as error:
                 self._drop(name, error)
                 continue

@@ -13,7 +13,7 @@ import numpy as np
 from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.measuring import APART_M, MISSED, FoundPoint, SmrSearch
 from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover, Vector
-from cellapp.cell.driving.supervision import Opened, moving_cell
+from cellapp.cell.driving.supervision import moving_cell
 from cellapp.cell.driving.target_visit import Driver
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.safety.gate import CellBodies, clear_stops, refuse_motion, visible
@@ -156,12 +156,11 @@ def locate_station(
     *,
     confirm: Confirm | None = None,
     opened: Callable[[Cell], object] = lambda cell: None,
-    open_with: Opened | None = None,
 ) -> LocatedStation:
     """Measure the points, one arm at a time with the others at home; measure more if they do not fit together.
 
     ``opened`` is called with the open cell before anything moves; an exception from it ends the job. ``confirm`` is
-    called before the first motion. ``open_with`` opens the cell.
+    called before the first motion.
 
     Raises
     ------
@@ -173,9 +172,7 @@ def locate_station(
         On request; the arms have been braked.
     """
     profile, model = task.profile, task.model
-    with moving_cell(
-        profile, model, control, confirm=confirm, opened=opened, open_with=open_with, slow_visits=None
-    ) as moving:
+    with moving_cell(profile, model, control, confirm=confirm, opened=opened, slow_visits=None) as moving:
         mover = moving.mover
         stops = LocatingStops(profile, model, moving.bodies, task.candidates)
         search = SmrSearch(profile, model, mover, task.rough_T, task.excess_m, _REPEATS, moving.hold)

@@ -23,14 +23,14 @@ from cellapp.cell.safety.gate import (
     LOOK_S,
     MOST_APART_M,
     CellBodies,
-    PathsAtOnce,
     allowed_apart_m,
+    apart_m,
     equally_long,
     on_rows,
     predicted_smr,
     refuse_paths,
 )
-from cellapp.estimation.readings import Reading
+from cellapp.estimation.readings import Readings, coordinate_uncertainty
 from cellapp.ground.errors import CellappError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import (
@@ -92,25 +92,19 @@ def motion_ended(stop: int | None, states: Mapping[str, ArmState]) -> MotionEnde
     return MotionEnded(stop, vectors({name: one.q for name, one in states.items()}), vectors(warm))
 
 
-def point_measured(stop: int, arm: str, reading: Reading) -> PointMeasured:
-    """Return the detail of a reading."""
-    x, y, z = reading.p_M.tolist()
-    warm = reading.joint_temperature_c
+def point_measured(stop: int, arm: str, reading: Readings) -> PointMeasured:
+    """Return the detail of one reading."""
+    x, y, z = reading.p_M[0].tolist()
+    warm, air_c, sigma_m = reading.joint_temperature_c, reading.temperature_c, coordinate_uncertainty(reading)
     return PointMeasured(
         stop=stop,
         arm=arm,
-        q=tuple(reading.q.tolist()),
+        q=tuple(reading.q[0].tolist()),
         p_M=(x, y, z),
-        sigma_mm=_sigma_mm(reading),
-        temperature_c=reading.temperature_c,
-        joint_temperature_c=None if warm is None else tuple(warm.tolist()),
+        sigma_mm=None if sigma_m is None else 1e3 * math.sqrt(3.0) * float(sigma_m[0]),
+        temperature_c=None if air_c is None else float(air_c[0]),
+        joint_temperature_c=None if warm is None else tuple(warm[0].tolist()),
     )
-
-
-def _sigma_mm(reading: Reading) -> float | None:
-    if reading.covariance_M is not None:
-        return 1e3 * math.sqrt(float(np.trace(reading.covariance_M)))
-    return None if reading.sigma_m is None else 1e3 * math.sqrt(3.0) * reading.sigma_m
 
 
 Vector = NDArray[np.float64]
@@ -333,20 +327,19 @@ class Mover:
         start = self.positions()
         period_s = min(its for _, its in paths.values())
         in_time = equally_long({name: on_rows(q, its, period_s) for name, (q, its) in paths.items()})
-        at_once = PathsAtOnce(self._bodies, in_time)
         rows = {name: np.concatenate([start[name][None], q]) for name, q in in_time.items()}
         others = {other: here for other, here in start.items() if other not in paths}
-        apart_m = allowed_apart_m(self._bodies, in_time, period_s)
-        row, refusal = refuse_paths(self._bodies, rows, others, self._cell.gate, apart_m)
+        allowed_m = allowed_apart_m(self._bodies, in_time, period_s)
+        row, refusal = refuse_paths(self._bodies, rows, others, self._cell.gate, allowed_m)
         if refusal:
             raise MotionRefused(f"refused to follow a path: at {row * period_s:.1f} s: {refusal}")
         if len(paths) == 1:
             return self._followed(start, paths, look)
 
         def look_at_all() -> None:
-            apart_m = at_once.apart_m({name: self._state(name).q for name in paths})
-            if apart_m > MOST_APART_M:
-                text = f"arms {' and '.join(paths)}: they are {apart_m * 1e3:.0f} mm apart from where both should be"
+            off_m = apart_m(self._bodies, in_time, {name: self._state(name).q for name in paths})
+            if off_m > MOST_APART_M:
+                text = f"arms {' and '.join(paths)}: they are {off_m * 1e3:.0f} mm apart from where both should be"
                 raise self.stop_cell(StopCause("gate", f"{text}; one of them was late: find out why, then continue"))
             if look is not None:
                 look()
@@ -510,11 +503,11 @@ class Mover:
             joints_c=None if state.joint_temperature_c is None else state.joint_temperature_c[None],
         )
 
-    def reading(self, name: str, point: PointAtRest, **conditions: Any) -> Reading:
+    def reading(self, name: str, point: PointAtRest, **conditions: Any) -> Readings:
         """Return the reading of a point just measured after the arm's last motion, with further ``conditions``."""
         same = ("q", "q_spread", "p_M", "covariance_M", "quaternion_M", "sigma_rad")
         conditions |= {key: getattr(point, key) for key in same}
-        return Reading(approach=self.approach(name).copy(), step=self.step(name), **conditions)
+        return Readings.one(approach=self.approach(name), step=self.step(name), **conditions)
 
     def rest(self, name: str, dwell_s: float, job: JobToken) -> None:
         """Wait until an arm has been at rest for ``dwell_s`` [s]. Raise as soon as the cell is stopped."""

@@ -46,7 +46,7 @@ class Work:
     proposed : frozenset of int
         Indices of the stops that discovery proposed.
     split : str or None
-        Split of new readings; None if splits are not drawn yet.
+        Split of new readings; None if splits are not sampled yet.
     earlier_s : float
         Time of the last stored reading [s]; new readings come after it.
     again : bool

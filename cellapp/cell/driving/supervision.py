@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -36,21 +36,10 @@ _FRESH_S = 0.3
 _BY_PERSON = {"stop": "a person stopped the arms", "abort": "a person aborted the job"}
 
 
-Opened = Callable[[Profile], AbstractContextManager[Cell]]
-"""Replacement of ``open_cell`` for a profile."""
-
-
-def opening(profile: Profile, control: JobControl, opened: Opened | None = None) -> AbstractContextManager[Cell]:
-    """Return the context that opens the cell: by ``opened``, else by ``open_cell``, which a person's stop ends."""
-    return open_cell(profile, control=control) if opened is None else opened(profile)
-
-
 @contextmanager
-def attended_cell(
-    profile: Profile, control: JobControl, opened: Opened | None = None
-) -> Iterator[tuple[Cell, StopReaction]]:
+def attended_cell(profile: Profile, control: JobControl) -> Iterator[tuple[Cell, StopReaction]]:
     """Open the cell of a profile and connect it to its brakes. Raise as ``open_cell`` and ``reacting``."""
-    with opening(profile, control, opened) as cell, reacting(cell, control) as reaction:
+    with open_cell(profile, control=control) as cell, reacting(cell, control) as reaction:
         yield cell, reaction
 
 
@@ -331,18 +320,17 @@ def moving_cell(
     *,
     confirm: Confirm | None = None,
     opened: Callable[[Cell], object] = lambda cell: None,
-    open_with: Opened | None = None,
     slow_visits: int | None = 0,
 ) -> Iterator[MovingCell]:
     """Open the cell of a profile and move all arms home.
 
     ``opened`` is called with the open cell before anything moves; an exception from it ends the job. ``confirm`` is
-    called before the first motion. ``open_with`` opens the cell. The tracker must be ready. ``slow_visits``
+    called before the first motion. The tracker must be ready. ``slow_visits``
     is as in ``Mover.slow_start``. Raise as ``attended_cell`` and ``Mover``; ``InputError`` if the first motion is not
     confirmed.
     """
     bodies, homes = cell_bodies(profile, model), home_positions(profile)
-    with attended_cell(profile, control, open_with) as (cell, reaction):
+    with attended_cell(profile, control) as (cell, reaction):
         opened(cell)
         cell.require_tracker()
         mover = Mover(profile, cell, bodies, reaction)

@@ -613,7 +613,7 @@ def _columns(part: SweepPart) -> tuple[dict[str, Array], dict[str, Array]]:
     """Return the columns of the joints and of the points of a part."""
     joints, track = part.joints, part.track
     samples = _joint_columns(
-        joints.time_s, q=joints.q, qd=joints.qd, joint_temperature=joints.temperature_c, other_q=part.beside
+        joints.time_s, q=joints.q, qd=joints.qd, joint_temperature=joints.joint_temperature_c, other_q=part.beside
     )
     return samples, _point_columns(track.device_time_s, track.p_M, track.sigma_m)
 

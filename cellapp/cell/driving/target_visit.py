@@ -16,7 +16,7 @@ import numpy as np
 from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.cell_checks import require_same_arms
 from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover, Vector
-from cellapp.cell.driving.supervision import Opened, moving_cell
+from cellapp.cell.driving.supervision import moving_cell
 from cellapp.cell.driving.verification import (
     Agreement,
     CommandKind,
@@ -486,7 +486,6 @@ def push(
     judge: Judge | None = None,
     confirm: Confirm | None = None,
     opened: Callable[[Cell], object] = lambda cell: None,
-    open_with: Opened | None = None,
     visited: Visited | None = None,
 ) -> VerifyResult:
     """Send every command to its arm, the other arms at home; if ``verify``, drive both commands and measure.
@@ -496,8 +495,8 @@ def push(
     arm's SMR over repeated motions [m], zero if unknown; smaller errors are not corrected.
 
     ``judge`` decides on tolerances; if None, by the profile alone. ``opened`` is called with the open cell before
-    anything moves; an exception from it ends the job. ``confirm`` is called before the first motion. ``open_with``
-    opens the cell. Each target is added to ``visited`` when it is done.
+    anything moves; an exception from it ends the job. ``confirm`` is called before the first motion. Each target
+    is added to ``visited`` when it is done.
 
     Raises
     ------
@@ -513,7 +512,7 @@ def push(
     if not any(command.q_compensated is not None for command in commands):
         raise InputError("push: none of the targets can be commanded: " + commands[0].refusal)
     total = len(dict.fromkeys(command.target.name for command in commands))
-    with moving_cell(profile, model, control, confirm=confirm, opened=opened, open_with=open_with) as moving:
+    with moving_cell(profile, model, control, confirm=confirm, opened=opened) as moving:
         visit = TargetVisit(
             model=model,
             driver=Driver(moving.mover, home_positions(profile)),

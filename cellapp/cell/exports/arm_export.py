@@ -69,7 +69,7 @@ class ArmExport:
 
 
 def workspace(measured_q: Array, conditions: MeasurementConditions, seed: int) -> ExportSpace:
-    """Draw random configurations within the joint ranges of ``measured_q`` (n, N) [rad].
+    """Sample random configurations within the joint ranges of ``measured_q`` (n, N) [rad].
 
     Each gets the conditions (approach, payload, temperatures, other arm) of a randomly chosen reading.
     """

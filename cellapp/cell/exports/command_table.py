@@ -8,15 +8,13 @@ and ``v`` have no meaning (URScript Manual, Universal Robots, "Module motion").
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Sequence
 
 import numpy as np
 
 from cellapp.cell.exports.arm_export import hashed
 from cellapp.cell.exports.export_format import ArmCommands, CommandFormat, first_rates
-from cellapp.cell.run.csv_text import quoted_text
+from cellapp.cell.run.csv_text import quoted_text, table_text
 from cellapp.cell.targets.path import PathPlan
 from cellapp.cell.targets.ranges import signs_words
 from cellapp.cell.targets.records import TargetCommand
@@ -43,10 +41,8 @@ def command_table(commands: ArmCommands, sentences: Sequence[str]) -> str:
     """Return the CSV text: comment lines, a header row, a row per target; floats in the shortest exact form."""
     rotated = any(command.record.orientation is not None for command in commands.commands)
     rows = [_row(command.record, len(commands.home), rotated=rotated) for command in commands.commands]
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerows([rows[0], *(row.values() for row in rows)])
-    return hashed([*sentences, *_NOTES, *(_ROTATION_NOTES if rotated else ())]) + text.getvalue()
+    table = table_text([*rows[0]], ([*row.values()] for row in rows), "\n")
+    return hashed([*sentences, *_NOTES, *(_ROTATION_NOTES if rotated else ())]) + table
 
 
 def _row(one: TargetCommand, joints: int, *, rotated: bool) -> dict[str, str]:
@@ -167,16 +163,13 @@ _PATH_NOTES = (
 def path_csv(plans: Sequence[PathPlan]) -> str:
     """Return the positions of every path that is not refused: path, arm, time [s], arc length [m], q1..qN [rad]."""
     most = max((plan.trajectory.q.shape[1] for plan in plans if plan.trajectory is not None), default=0)
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["path", "arm", "time_s", "s_m", *(f"q{j + 1}" for j in range(most))])
-    for plan in plans:
-        if plan.trajectory is None or plan.refusal:
-            continue
-        trajectory, head = plan.trajectory, [quoted_text(plan.spec.name), plan.spec.arm]
-        table = np.column_stack([trajectory.time_s, trajectory.s, trajectory.q]).tolist()
-        writer.writerows([*head, *(repr(value) for value in row)] for row in table)
-    return text.getvalue()
+    driven = [(plan.spec, plan.trajectory) for plan in plans if plan.trajectory is not None and not plan.refusal]
+    rows = (
+        [quoted_text(spec.name), spec.arm, *map(repr, row)]
+        for spec, its in driven
+        for row in np.column_stack([its.time_s, its.s, its.q]).tolist()
+    )
+    return table_text(["path", "arm", "time_s", "s_m", *(f"q{j + 1}" for j in range(most))], rows, "\n")
 
 
 def path_script(plans: Sequence[PathPlan], profile: Profile, sentences: Sequence[str]) -> str:

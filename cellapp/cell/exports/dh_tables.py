@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -13,6 +11,7 @@ import yaml
 
 from cellapp.cell.exports.arm_export import ArmExport, hashed
 from cellapp.cell.exports.export_format import ExportFormat, smr_in_plain_flange
+from cellapp.cell.run.csv_text import table_text
 from cellapp.robot.kinematics.chain import ROW_NAMES, Geometry, frame_poses, parameter_unit, plain_geometry
 from cellapp.robot.kinematics.transforms import Array, transform
 from cellapp.robot.model import ArmModel
@@ -135,14 +134,14 @@ def parameters(export: ArmExport, sentences: Sequence[str]) -> str:
 
     ``standard_error`` is empty for parameters that were not identified.
     """
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([field.name for field in fields(ParameterRow)])
-    for row in parameter_rows(export.model, export.geometry):
-        error = "" if row.standard_error is None else repr(row.standard_error)
-        writer.writerow([row.parameter, row.unit, repr(row.nominal), repr(row.identified), error])
+    rows = (
+        [one.parameter, one.unit, repr(one.nominal), repr(one.identified), "" if error is None else repr(error)]
+        for one in parameter_rows(export.model, export.geometry)
+        for error in (one.standard_error,)
+    )
     frame = "R_ref maps z to the tracker's " + "xyz"[export.geometry.reference_axis]
-    return hashed([*sentences, *_PARAMETERS_CHAIN, frame]) + text.getvalue()
+    table = table_text([field.name for field in fields(ParameterRow)], rows, "\n")
+    return hashed([*sentences, *_PARAMETERS_CHAIN, frame]) + table
 
 
 PARAMETERS = ExportFormat("parameters", "parameters and standard errors (CSV)", ".csv", parameters, lists_effects=True)

@@ -80,13 +80,13 @@ def _add_arm(robot: Element, export: ArmExport) -> None:
 
 def _add_joint(robot: Element, export: ArmExport, index: int, parent: str, child: str, pose: Array) -> None:
     """Add joint ``index`` of the arm; add a fixed joint if the arm has no such joint."""
-    turns = 0 <= index < export.geometry.joints
-    name = f"{export.name}_joint_{index + 1}" if turns else f"{child}_fixed"
-    joint = SubElement(robot, "joint", name=name, type="revolute" if turns else "fixed")
+    is_revolute = 0 <= index < export.geometry.joints
+    name = f"{export.name}_joint_{index + 1}" if is_revolute else f"{child}_fixed"
+    joint = SubElement(robot, "joint", name=name, type="revolute" if is_revolute else "fixed")
     SubElement(joint, "origin", xyz=_numbers(pose[:3, 3].tolist()), rpy=_numbers(rpy_of(pose[:3, :3])))
     SubElement(joint, "parent", link=parent)
     SubElement(joint, "child", link=child)
-    if turns:
+    if is_revolute:
         row = export.arm.type.joints[index]
         low, high = row.limit if export.arm.limits is None else export.arm.limits[index]
         SubElement(joint, "axis", xyz="0 0 1")
@@ -243,11 +243,11 @@ def ur_calibration(export: ArmExport, sentences: Sequence[str]) -> str:
 def frame_sentences(export: ArmExport) -> list[str]:
     """Describe the SMR in the flange of the plain D-H rows, and the base in the tracker frame, as UR poses."""
     T_M_B = export.geometry.T_M_B()
-    turn = ", ".join(f"{value:z.9f}" for value in rotation_vectors(T_M_B[None, :3, :3])[0].tolist())
+    rotation = ", ".join(f"{value:z.9f}" for value in rotation_vectors(T_M_B[None, :3, :3])[0].tolist())
     return [
         f"SMR in the flange [mm]: {millimetres(plain_geometry(export.geometry).tool)}",
         f"Base in the tracker frame: position [mm] {millimetres(T_M_B[:3, 3])};",
-        f"  rotation vector [rad] {turn}",
+        f"  rotation vector [rad] {rotation}",
     ]
 
 

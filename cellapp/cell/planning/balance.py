@@ -1,7 +1,7 @@
 """Balance of the planned factors: posture functions, balanced random blocks, levels without correlations.
 
 If a factor correlates with posture, time or another factor, their effects cannot be separated. Levels are therefore not
-only drawn at random: they are changed, one at a time, until the largest correlation is small.
+only sampled at random: they are changed, one at a time, until the largest correlation is small.
 """
 
 from __future__ import annotations
@@ -89,9 +89,9 @@ def time_and_blocks(time: Array, block: NDArray[np.intp]) -> Columns:
 def fair_blocks(features: Array, sizes: NDArray[np.intp], rng: np.random.Generator) -> NDArray[np.intp]:
     """Assign a block (n,) to each stop at random, so that each block gets its share of similar stops.
 
-    Within each group of similar stops, the block of each is drawn at random (a randomised block design); of many draws
-    the one whose blocks have the most equal means is taken (rerandomisation: Morgan, Rubin, Annals of Statistics 40
-    (2012) 1263).
+    Within each group of similar stops, the block of each is sampled at random (a randomised block design); of many
+    samples the one whose blocks have the most equal means is taken (rerandomisation: Morgan, Rubin, Annals of
+    Statistics 40 (2012) 1263).
 
     Parameters
     ----------
@@ -188,7 +188,7 @@ def balanced_levels(
 _GOAL = 0.06
 """Correlation at which the search for levels ends: low, as some levels must change later where the gate refuses."""
 _OTHER_STEPS = 40
-"""Number of other sides and sizes that are drawn for a stop whose last motion the gate refuses."""
+"""Number of other sides and sizes that are sampled for a stop whose last motion the gate refuses."""
 _IMPROVED = 0.08
 """Largest correlation left in the plan: below the accepted one, as times are only estimates."""
 _IMPROVEMENTS = 300
@@ -263,7 +263,7 @@ class FactorPlan:
         return step
 
     def other_steps(self, step: Mapping[str, Array], stop: int) -> dict[str, Array]:
-        """Draw other signed steps of one stop within limits, arm -> (m, N) [rad], best balanced first."""
+        """Sample other signed steps of one stop within limits, arm -> (m, N) [rad], best balanced first."""
         if len(self._sizes) == 0:
             return {name: np.zeros((0, q.shape[1])) for name, q in self._q.items()}
         own, q = (np.concatenate([rows[stop] for rows in of_arm.values()]) for of_arm in (step, self._q))
@@ -355,8 +355,8 @@ def _sixth_power(values: Array) -> Array:
 
 def _inside(q: Array, step: Array, low: Array, high: Array) -> Array:
     """Reverse steps (m, N) that start outside the limits; 0 if that does not help."""
-    turned = np.where((q - step >= low) & (q - step <= high), step, -step)
-    return np.asarray(np.where((q - turned >= low) & (q - turned <= high), turned, 0.0))
+    flipped = np.where((q - step >= low) & (q - step <= high), step, -step)
+    return np.asarray(np.where((q - flipped >= low) & (q - flipped <= high), flipped, 0.0))
 
 
 _MEASURES: tuple[Callable[[Array], Array], ...] = (np.sign, np.abs, np.positive)

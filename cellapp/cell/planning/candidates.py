@@ -50,7 +50,7 @@ COMBINED = 64, 16
 trigonometry is done once for many configurations; what is computed from them fits in the cache."""
 _MOST_SAMPLES = 800_000
 _MOST_SAMPLES_PER_CANDIDATE = 400
-"""Draws after which the search ends: four times the number that a candidate takes in the twin cell, some seconds."""
+"""Samples after which the search ends: four times the number that a candidate takes in the twin cell, some seconds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,9 +64,9 @@ class CandidatePool:
     incidence : array, shape (m,)
         Angle between beam and viewing direction of the SMR [rad].
     sampled : int
-        Configurations drawn to find them.
+        Configurations sampled to find them.
     rejected : mapping
-        Constraint -> how many of those drawn it excluded. A configuration counts for the first that excludes it, in
+        Constraint -> how many of those sampled it excluded. A configuration counts for the first that excludes it, in
         the order of the mapping.
     """
 
@@ -79,7 +79,7 @@ class CandidatePool:
 def sample_pool(
     cell: CellBodies, profile: Profile, name: str, count: int, rng: np.random.Generator, job: JobToken = UNATTENDED
 ) -> CandidatePool:
-    """Draw ``count`` candidates of an arm in random order, fewer where they are rare.
+    """Sample ``count`` candidates of an arm in random order, fewer where they are rare.
 
     Each is uniform in the joint ranges of the plan, restricted to configurations that are visible and clear; of those
     with an incidence above ``plan.incidence`` a quarter is kept. Some have joint positions in common with a few others.
@@ -119,7 +119,7 @@ def random_configurations(
     Raises
     ------
     InputError
-        If none is found in many draws; the message says which constraint excludes them.
+        If none is found in many samples; the message says which constraint excludes them.
     """
     low, high = joint_ranges(cell, profile, name).T
     fruitless = 0
@@ -166,7 +166,7 @@ def _facing(arm: ArmBodies, T_C_M: Array, q: Array) -> Array:
 
 
 def joint_ranges(cell: CellBodies, profile: Profile, name: str) -> Array:
-    """Return the ranges from which the joint positions of an arm are drawn, lowest and highest, shape (N, 2) [rad].
+    """Return the ranges from which the joint positions of an arm are sampled, lowest and highest, shape (N, 2) [rad].
 
     Raises
     ------
@@ -417,13 +417,13 @@ def _percent(share: float) -> str:
 
 
 _MOST_BATCHES = 50
-"""Number of batches after which drawing ends where hardly any configuration is clear."""
+"""Number of batches after which sampling ends where hardly any configuration is clear."""
 
 
 def workspace_configurations(
     profile: Profile, cell: CellBodies, name: str, count: int, rng: np.random.Generator
 ) -> Array:
-    """Draw ``count`` configurations (count, N) [rad], uniform in the plan's joint ranges where the arm is clear.
+    """Sample ``count`` configurations (count, N) [rad], uniform in the plan's joint ranges where the arm is clear.
 
     The tracker need not see them: targets are work, not measurements. Fewer where hardly any is clear.
     """

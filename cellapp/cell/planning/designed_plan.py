@@ -2,8 +2,8 @@
 
 What the stops of a plan tell, against random plans: standard errors, predictions over the workspace, observability.
 
-Random plans have configurations as the planner with ``method: random`` draws them: uniform over those that are visible
-and clear. Approach, step and time are drawn for both kinds of plan, so that only the choice of stops differs.
+Random plans have configurations as the planner with ``method: random`` samples them: uniform over those that are
+visible and clear. Approach, step and time are sampled for both kinds of plan, so that only the choice of stops differs.
 Predictions are judged at configurations of the workspace that were not used to choose stops and that the tracker need
 not see.
 """
@@ -166,7 +166,7 @@ def _pool(
     rng: np.random.Generator,
     job: JobToken,
 ) -> CandidatePool:
-    """Draw candidates of an arm and keep those within reach: the most informative ones lie at the ends of the joints'
+    """Sample candidates of an arm and keep those within reach: the most informative ones lie at the ends of the joints'
     ranges, some of them in pockets (folded, behind an obstacle, the wrong way round). All are kept if these are too few
     for ``count`` stops; only the first ones are checked if hardly any of them is hard to reach."""
     pool = sample_pool(cell, profile, name, max(profile.plan.pool_size, count), rng, job)
@@ -318,7 +318,7 @@ class DesignJudge:
     others : mapping
         Configurations of the other arms.
     rng
-        Draws random plans and conditions.
+        Samples random plans and conditions.
     """
 
     model: InformationModel
@@ -340,11 +340,11 @@ class DesignJudge:
         """Set up for plans of ``stops`` stops of an arm; ``others`` are configurations of the other arms."""
         cell = cell_bodies(profile)
         number = min(math.ceil(_LARGER[-1] * stops), max(_MOST_RANDOM, stops))
-        drawn = []
+        sampled = []
         for q in islice(random_configurations(cell, profile, name, rng, COMBINED), number):
             job.check()
-            drawn.append(q)
-        q = np.array(drawn)
+            sampled.append(q)
+        q = np.array(sampled)
         conditions = sampled_conditions(profile, name, q, others, rng)
         model = information_model(profile, name, q, conditions, potential=False)
         targets = workspace_configurations(profile, cell, name, _QUALITY_POINTS, rng)
@@ -366,7 +366,7 @@ class DesignJudge:
         return sorted({min(round(ratio * stops), len(self.random)) for ratio in _LARGER})
 
     def rows(self, q: Array) -> Array:
-        """Compute whitened rows (n, 3, p) of stops ``q`` (n, N) [rad] under drawn conditions."""
+        """Compute whitened rows (n, 3, p) of stops ``q`` (n, N) [rad] under sampled conditions."""
         return self.model.rows(q, sampled_conditions(self.model.profile, self.model.name, q, self.others, self.rng))
 
     def errors(self, information: Array) -> Errors:
@@ -507,7 +507,7 @@ def equal_to_random(errors: Errors, random: Mapping[int, Errors], stops: int) ->
 
     sizes = sorted(random)
     curve = np.array([three(random[size]) for size in sizes])
-    curve = np.minimum.accumulate(curve, axis=0)  # the mean of a few draws may rise again
+    curve = np.minimum.accumulate(curve, axis=0)  # the mean of a few samples may rise again
     equal = [
         float(np.exp(np.interp(-wanted, -curve[:, k], np.log(sizes))))
         for k, wanted in enumerate(three(errors).tolist())

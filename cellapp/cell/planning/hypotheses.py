@@ -187,7 +187,7 @@ def _expected_sigma(data: ArmData, context: EffectContext) -> Array:
 
     Further stops count as positions alone, also where the run has orientations.
     """
-    points = data.positions
+    points = data.points
     sigma = data.sigma[points]
     if sigma.ndim == 1:
         return np.full(len(context), float(np.sqrt(np.mean(sigma**2))))

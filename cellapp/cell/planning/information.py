@@ -255,7 +255,7 @@ def incidence(context: EffectContext) -> Array:
 def even_conditions(
     profile: Profile, name: str, q: Array, others: Mapping[str, Array], rng: np.random.Generator
 ) -> MeasurementConditions:
-    """Draw conditions as ``sampled_conditions`` does, but equally informative at all stops: only signs are drawn.
+    """Sample conditions as ``sampled_conditions`` does, but equally informative at all stops: only signs are sampled.
 
     Steps have their rms size, times their rms distance from the middle of the run. Otherwise the choice would prefer
     stops with large steps at the beginning or the end of the run, which the plan then changes.
@@ -272,9 +272,9 @@ def even_conditions(
 def sampled_conditions(
     profile: Profile, name: str, q: Array, others: Mapping[str, Array], rng: np.random.Generator
 ) -> MeasurementConditions:
-    """Draw independent conditions of readings at ``q`` (n, N) [rad], for factors of a plan that are not decided yet.
+    """Sample independent conditions of readings at ``q`` (n, N) [rad], for factors of a plan that are not decided yet.
 
-    ``others`` are configurations of the other arms, from which their pose at each stop is drawn.
+    ``others`` are configurations of the other arms, from which their pose at each stop is sampled.
     """
     n, plan = len(q), profile.plan
     if plan.steps:

@@ -32,7 +32,7 @@ _PROGRESS_EVERY = 10
 
 
 def plan_stops(profile: Profile, job: JobToken = UNATTENDED) -> dict[str, Array]:
-    """Draw stops for all arms with the profile's seed, arm -> q (stops + reserve, N) [rad].
+    """Sample stops for all arms with the profile's seed, arm -> q (stops + reserve, N) [rad].
 
     Configurations are uniform in joint space, restricted to those where the tracker sees the SMR and the arm is clear
     of the floor and of itself. Their order is random, so that drift in time is not confounded with joint positions. A
@@ -50,7 +50,8 @@ def plan_stops(profile: Profile, job: JobToken = UNATTENDED) -> dict[str, Array]
 def further_stops(
     profile: Profile, here: Mapping[str, Array], wanted: int, more_seed: Sequence[int] = (), job: JobToken = UNATTENDED
 ) -> dict[str, Array]:
-    """Draw stops as ``plan_stops`` does, arm -> q (wanted, N) [rad], beginning where the arms are (arm -> (N,) [rad]).
+    """Sample stops as ``plan_stops`` does, arm -> q (wanted, N) [rad], beginning where the arms are (arm -> (N,)
+    [rad]).
 
     The last stop has a motion to the home positions. ``more_seed`` is added to the profile's seed, so that stops differ
     from those that exist already.
@@ -78,7 +79,7 @@ def further_stops(
 def sample_stops(
     cell: CellBodies, profile: Profile, count: int, rng: np.random.Generator, job: JobToken = UNATTENDED
 ) -> dict[str, Array]:
-    """Draw stops at which all arms are clear and visible, arm -> q (count, N) [rad]; motions are not checked.
+    """Sample stops at which all arms are clear and visible, arm -> q (count, N) [rad]; motions are not checked.
 
     Raises
     ------
@@ -106,7 +107,7 @@ def sample_stops(
 def _next_stop(
     cell: CellBodies, picks: Mapping[str, Iterator[Array]], here: Mapping[str, Array], homes: Mapping[str, Array] | None
 ) -> tuple[Mapping[str, Array] | None, str]:
-    """Draw a stop reachable from ``here``, from which ``homes``, if given, are; None with the last refusal."""
+    """Sample a stop reachable from ``here``, from which ``homes``, if given, are; None with the last refusal."""
     refusal = ""
     for _ in range(_TRIES_PER_STOP):
         q = {name: next(configurations) for name, configurations in picks.items()}
@@ -208,7 +209,7 @@ def _with_loads(profile: Profile, stops: PlannedStops, kept: PlannedStops | None
 
 
 def _random(profile: Profile, count: int, job: JobToken, kept: PlannedStops | None) -> PlannedStops:
-    """Draw random stops with straight motions, and append them to those that are kept."""
+    """Sample random stops with straight motions, and append them to those that are kept."""
     if kept is None or not len(kept):
         return straight_stops(further_stops(profile, home_positions(profile), count, (), job))
     here = kept.targets(len(kept) - 1)

@@ -21,7 +21,6 @@ Numbers are written in their shortest exact form: reading a file again gives the
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -32,6 +31,7 @@ import numpy as np
 
 from cellapp.cell.planning.planned_stops import LONGEST_DWELL_S, Configuration, PlannedStops, straight_stops
 from cellapp.cell.run.csv_text import NUMBER, WHOLE, CsvTable, Problems, read_csv_table, short, write_csv
+from cellapp.ground.counting import did_you_mean
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs
 from cellapp.ground.profile import Arm, Profile
@@ -135,8 +135,7 @@ def _check_header(table: CsvTable, profile: Profile, problems: Problems) -> None
             problems.add(1, name, "the column is missing")
     for name in names:
         if name not in known:
-            close = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
-            hint = f"is '{close[0]}' meant?" if close else f"columns are {', '.join(known)}"
+            hint = did_you_mean(name, known, "is '{}' meant?", otherwise=f"columns are {', '.join(known)}")
             problems.add(1, name or "a column without a name", f"the column is unknown; {hint}")
     problems.check()
 

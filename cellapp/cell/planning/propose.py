@@ -319,7 +319,7 @@ class Effort:
     Attributes
     ----------
     sampled : int
-        Poses that are drawn: enough that ``kept`` of them are within easy reach in the twin's crowded cell.
+        Poses that are sampled: enough that ``kept`` of them are within easy reach in the twin's crowded cell.
     kept : int
         Poses that are kept of these.
     candidates : int
@@ -333,7 +333,7 @@ class Effort:
 
 @dataclass(frozen=True, eq=False)
 class CandidatePoses:
-    """Poses of all arms, drawn together.
+    """Poses of all arms, sampled together.
 
     Attributes
     ----------
@@ -360,7 +360,7 @@ class CandidatePoses:
 def candidate_poses(
     profile: Profile, readings: Mapping[str, Readings], effort: Effort, rng: np.random.Generator, job: JobToken
 ) -> tuple[CandidatePoses, list[str]]:
-    """Draw poses in the cell that the profile describes, else take the measured configurations; and return notes.
+    """Sample poses in the cell that the profile describes, else take the measured configurations; and return notes.
 
     Raises
     ------
@@ -409,7 +409,7 @@ def alone(gate: CellBodies, name: str) -> CellBodies:
 
 
 _RANDOM_DESIGNS = 8
-"""Number of random designs that are averaged for comparison, so that no single draw decides."""
+"""Number of random designs that are averaged for comparison, so that no single sample decides."""
 _LOAD_SHARE = 0.25
 """Suggested further payload as a share of the arm's own mass: what arms of this class may carry."""
 _LEAST_LOAD_STEP_KG = 0.5
@@ -486,7 +486,7 @@ def _load_advice(
 DEFAULT_EFFORT = Effort()
 """Effort of a proposal from the command line: 10 stops for the two arms of the twin take some 5 s."""
 _PROPOSAL_SEED = 0x9409
-"""Seed, besides the profile's seed and the number of readings: a later proposal draws other candidates."""
+"""Seed, besides the profile's seed and the number of readings: a later proposal samples other candidates."""
 
 
 @dataclass(frozen=True)
@@ -608,7 +608,7 @@ class StopSelection:
     arms, poses
         The candidates.
     paired : bool
-        Keep poses of all arms together that were drawn together, as where an effect depends on the other arm. Else
+        Keep poses of all arms together that were sampled together, as where an effect depends on the other arm. Else
         each arm's best poses are combined, if the gate accepts it.
     rng
     refused : set of ChosenStop

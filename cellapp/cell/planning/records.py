@@ -57,8 +57,8 @@ class PlanCheckResult(Result, schema="cellapp-plan-check"):
 class JointCoverage(Record):
     """What a plan uses of the range of one joint (from 1), all [rad].
 
-    ``allowed`` is what stops are drawn from; ``used`` the lowest and the highest position; ``largest_gap`` the largest
-    part of the allowed range without any stop.
+    ``allowed`` is what stops are sampled from; ``used`` the lowest and the highest position; ``largest_gap`` the
+    largest part of the allowed range without any stop.
     """
 
     joint: int
@@ -164,7 +164,8 @@ class FactorCorrelation(Record):
 
 
 class TravelTime(Record):
-    """Time in motion [s]: of the plan, and of the same stops, approaches and dwells in random order (mean of draws)."""
+    """Time in motion [s]: of the plan, and of the same stops, approaches and dwells in random order (mean of
+    samples)."""
 
     planned_s: float
     random_order_s: float

@@ -20,7 +20,7 @@ from cellapp.cell.safety.gate import CellBodies, FreeMotions, clear_stops, refus
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import UNATTENDED, JobSteps, JobToken
-from cellapp.robot.kinematics.inverse import turned_into
+from cellapp.robot.kinematics.inverse import shifted_into
 from cellapp.robot.kinematics.transforms import Array
 
 _JOB = "order"
@@ -94,16 +94,16 @@ def _reached(
     profile: Profile, cell: CellBodies, name: str, q: Array, finder: TransitPlanner, given_up: list[str]
 ) -> Array:
     """Select the configurations (m, N) that the arm alone can reach, in the turns in which they are planned."""
-    rotated = nearest_turns(profile, cell, name, q)
-    reached = finder.roadmaps[name].reaches(rotated)
+    shifted = nearest_turns(profile, cell, name, q)
+    reached = finder.roadmaps[name].reaches(shifted)
     if not reached.all():
-        alone, lost = replace(cell, arms={name: cell.arms[name]}), rotated[np.argmin(reached)]
+        alone, lost = replace(cell, arms={name: cell.arms[name]}), shifted[np.argmin(reached)]
         reason = refuse_motion(alone, {name: finder.roadmaps[name].rest}, {name: lost})
         given_up.append(
             f"arm {name}: {np.sum(~reached)} of {len(q)} chosen configurations cannot be reached from home, the first:"
             f" {reason or 'within the allowance for sampled paths'}"
         )
-    return rotated[reached]
+    return shifted[reached]
 
 
 def nearest_turns(profile: Profile, cell: CellBodies, name: str, q: Array) -> Array:
@@ -114,7 +114,7 @@ def nearest_turns(profile: Profile, cell: CellBodies, name: str, q: Array) -> Ar
     home = profile.arms[name].home
     low, high = joint_ranges(cell, profile, name).T if profile.plan.ranges is not None else cell.arms[name].limits.T
     centre = 0.5 * (low + high) if home is None else np.array(home)
-    near, beyond = turned_into(q, np.stack([low, high], axis=1), centre)
+    near, beyond = shifted_into(q, np.stack([low, high], axis=1), centre)
     return np.where(beyond > 0.0, q, near)
 
 
@@ -177,8 +177,8 @@ itself is hard to reach, and a detour is sought."""
 _REPORT_EVERY = 10
 """Stops between two reports of progress."""
 _AHEAD = 100
-"""Number of stops that are looked ahead: for those whose motions the gate refuses, other steps are drawn and asked
-about in one batch. Few, as steps that are drawn together do not balance each other."""
+"""Number of stops that are looked ahead: for those whose motions the gate refuses, other steps are sampled and asked
+about in one batch. Few, as steps that are sampled together do not balance each other."""
 
 Steps = Mapping[str, Array]
 """Arm -> signed steps of the last motion to one stop (N,) [rad]."""
@@ -236,7 +236,7 @@ class LegPlanner:
         return replace(whole.take(list(legs)), legs=tuple(legs.values()))
 
     def _look_ahead(self, stops: range) -> None:
-        """Draw other steps of stops whose planned motions the gate refuses, and ask about the first of each."""
+        """Sample other steps of stops whose planned motions the gate refuses, and ask about the first of each."""
         once = [stop for stop in stops if self._arrangement.repeat_of[stop] < 0]
         refused = [stop for stop in once if not self._is_free(stop, self._planned_before(stop), self._own(stop))]
         self._others = self._other_steps(refused)
@@ -292,7 +292,7 @@ class LegPlanner:
             yield steps
 
     def _other_steps(self, stops: Sequence[int]) -> dict[int, list[Steps]]:
-        """Draw other steps of some stops, best balanced first, whose last motions begin where the arms are clear."""
+        """Sample other steps of some stops, best balanced first, whose last motions begin where the arms are clear."""
         sampled = {stop: self._factors.other_steps(self._step, stop) for stop in stops}
         if not sampled:
             return {}

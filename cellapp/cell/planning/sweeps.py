@@ -1,6 +1,6 @@
 """Sweeps: at each stop of a plan, each arm in turn moves about it with its SMR facing the tracker; the others rest.
 
-Several random motions are drawn. The one is taken that tells most per second of geometry and effects, in addition to
+Several random motions are sampled. The one is taken that tells most per second of geometry and effects, in addition to
 the stops and the sweeps before. It is made narrower until the tracker sees all of it and the gate accepts the whole
 path. Motions about successive stops alternate between two speeds. With ``plan.other_arm: swinging`` the other arm of
 two moves at the same time, half as fast and without being measured (``PlannedSweep.beside``).
@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from pydantic import ValidationError
+from pydantic import TypeAdapter
 
 from cellapp.cell.planning.information import geometry_priors
 from cellapp.cell.planning.planned_stops import PlannedStops, last_motions
@@ -186,13 +186,8 @@ def read_sweeps(run: RunFile) -> tuple[PlannedSweep, ...]:
 
 def read_planned_sweeps(run: RunFile) -> PlannedSweeps:
     """Read the planned sweeps of a run with their notes, as ``read_sweeps`` does; unknown keys are ignored."""
-    text = run.read_result(SWEEPS_RESULT)
-    if text is None:
-        return PlannedSweeps(sweeps=())
-    try:
-        return PlannedSweeps.model_validate_json(text, extra="ignore")
-    except ValidationError:
-        raise InputError(f"{run.path} is damaged ({SWEEPS_RESULT}); restore it from a copy") from None
+    none = PlannedSweeps(sweeps=())
+    return run.read_checked(SWEEPS_RESULT, TypeAdapter(PlannedSweeps), none, "restore the run from a copy")
 
 
 def plan_sweeps(profile: Profile, stops: PlannedStops, job: JobToken = UNATTENDED) -> PlannedSweeps:
@@ -257,7 +252,7 @@ def refuse_sweep(
 def _swing_beside(
     profile: Profile, cell: CellBodies, name: str, motion: Sweep, at: Mapping[str, Array], rng: np.random.Generator
 ) -> Swing | None:
-    """Draw a motion of the other arm that lasts as long as ``motion`` of arm ``name`` and does not hide this from the
+    """Sample a motion of the other arm that lasts as long as ``motion`` of arm ``name`` and does not hide this from the
     tracker; None if the gate accepts none."""
     (other,) = (one for one in at if one != name)
     time_s = motion.times(_SEEN_S)
@@ -298,7 +293,7 @@ def _sweep_about(
 
 
 def _sampled(center: Array, towards: Array, period_s: float, rng: np.random.Generator) -> Sweep:
-    """Draw a random motion with its own amplitude for each joint, part of it ``towards`` another posture."""
+    """Sample a random motion with its own amplitude for each joint, part of it ``towards`` another posture."""
     order = np.arange(1, _HARMONICS + 1)[:, None]
     sine, cosine = (rng.normal(size=(_HARMONICS, len(center))) / order for _ in range(2))
     motion = Sweep(center, sine, cosine, period_s)

@@ -147,7 +147,7 @@ _NEAR_ENDS = 60
 _PLACES = (8, 4, 12, 2, 14, 6, 10, 1, 15, 3, 13, 5, 11, 7, 9)
 """Sixteenths of a motion at which an arm is checked, the most selective first."""
 _SAMPLES = 40
-"""Upper limit of the random configurations drawn for each node."""
+"""Upper limit of the random configurations sampled for each node."""
 _AT_ONCE = 4000
 """Number of motions that are checked at once."""
 

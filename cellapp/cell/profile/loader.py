@@ -9,10 +9,10 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import yaml
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from cellapp.cell.profile.files import controller_table
 from cellapp.cell.profile.messages import (
@@ -27,11 +27,14 @@ from cellapp.cell.profile.messages import (
     validation_message,
 )
 from cellapp.ground.errors import InputError
+from cellapp.ground.file_text import file_text
 from cellapp.ground.profile.device_plugins import ARM_TYPES
 from cellapp.ground.profile.schema import VERSION, ArmType, Profile
 from cellapp.ground.removed import without_removed_keys
 from cellapp.ground.results import plain_data
 from cellapp.ground.starters import TWIN, starters_folder
+
+S = TypeVar("S", bound=BaseModel)
 
 _MOST_LEVELS = 50
 """Limit of nesting: a profile has about eight levels; an alias that contains itself gives more."""
@@ -151,10 +154,7 @@ def checked_profile(document: YamlDocument, folders: Sequence[Path]) -> Profile:
     """
     _read_arm_types(document, folders)
     _locate_meshes(document, folders)
-    try:
-        profile = Profile.model_validate(document.data)
-    except ValidationError as error:
-        raise InputError(validation_message(error, document)) from None
+    profile = _validated(Profile, document)
     _require_own_factories(profile, document.places)
     return profile
 
@@ -182,10 +182,7 @@ def with_sections(profile: Profile, path: Path, names: Sequence[str]) -> Profile
             raise PlacedError(place, f"unknown section; expected {' or '.join(repr(one) for one in names)}")
     stored = json.loads(profile_to_json(profile))
     document.data = stored | {name: _completed(stored.get(name), part) for name, part in document.data.items()}
-    try:
-        return Profile.model_validate(document.data)
-    except ValidationError as error:
-        raise InputError(validation_message(error, document)) from None
+    return _validated(Profile, document)
 
 
 def _completed(stored: Any, given: Any) -> Any:
@@ -244,23 +241,30 @@ def _read_arm_types(document: YamlDocument, folders: Sequence[Path]) -> None:
     InputError
         If no such file exists, or it cannot be read.
     """
-    arms = document.data.get("arms")
-    for name, arm in (arms if isinstance(arms, dict) else {}).items():
-        if isinstance(arm, dict) and isinstance(arm.get("type"), str):
-            at: KeyPath = ("arms", name, "type")
-            arm_type = _read_arm_type(folders, arm["type"], document.places[at])
-            arm["type"] = arm_type.data
-            document.places |= {at + inside: place for inside, place in arm_type.places.items()}
-        if isinstance(arm, dict) and isinstance(arm.get("factory"), str):
-            place = document.places["arms", name, "factory"]
-            arm["factory"] = _read_controller(folders, arm["factory"], place, arm.get("type"))
+    for at, arm in _with_text(document, "arms", "type"):
+        arm_type = _read_arm_type(folders, arm["type"], document.places[at])
+        arm["type"] = arm_type.data
+        document.places |= {at + inside: place for inside, place in arm_type.places.items()}
+    for at, arm in _with_text(document, "arms", "factory"):
+        arm["factory"] = _read_controller(folders, arm["factory"], document.places[at], arm.get("type"))
+
+
+def _with_text(document: YamlDocument, section: str, key: str) -> Iterator[tuple[KeyPath, dict[str, Any]]]:
+    """Yield the entries of a section that have a text as ``key``, with the path of that."""
+    entries = document.data.get(section)
+    for name, entry in (entries if isinstance(entries, dict) else {}).items():
+        if isinstance(entry, dict) and isinstance(entry.get(key), str):
+            yield (section, name, key), entry
 
 
 def arm_type_of_text(text: str, path: Path) -> ArmType:
     """Parse the text of an arm type whose file is ``path``. Raise ``InputError`` with file and line."""
-    document = replace(_parse_yaml(text, path), schema=ArmType)
+    return _validated(ArmType, replace(_parse_yaml(text, path), schema=ArmType))
+
+
+def _validated(schema: type[S], document: YamlDocument) -> S:
     try:
-        return ArmType.model_validate(document.data)
+        return schema.model_validate(document.data)
     except ValidationError as error:
         raise InputError(validation_message(error, document)) from None
 
@@ -279,17 +283,15 @@ def _locate_meshes(document: YamlDocument, folders: Sequence[Path]) -> None:
     InputError
         If none of them has it.
     """
-    obstacles = document.data.get("obstacles")
-    for name, obstacle in (obstacles if isinstance(obstacles, dict) else {}).items():
-        if isinstance(obstacle, dict) and isinstance(obstacle.get("file"), str):
-            path = _first_file(folders, obstacle["file"])
-            if path is None:
-                raise PlacedError(
-                    document.places["obstacles", name, "file"],
-                    f"file not found: {short(str(folders[0] / obstacle['file']), 200)}; give the path of an STL file"
-                    " relative to the profile's file",
-                )
-            obstacle["file"] = str(path.resolve())
+    for at, obstacle in _with_text(document, "obstacles", "file"):
+        path = _first_file(folders, obstacle["file"])
+        if path is None:
+            raise PlacedError(
+                document.places[at],
+                f"file not found: {short(str(folders[0] / obstacle['file']), 200)}; give the path of an STL file"
+                " relative to the profile's file",
+            )
+        obstacle["file"] = str(path.resolve())
 
 
 def profile_to_json(profile: Profile) -> str:
@@ -425,17 +427,7 @@ def _parse_yaml(text: str, path: Path) -> YamlDocument:
 def _read_text(path: Path) -> str:
     if path.is_fifo():  # reading would wait endlessly for a writer
         raise InputError(f"{path}: is a pipe, not a file; save the profile as a file and give its path")
-    try:
-        raw = path.read_bytes()
-    except FileNotFoundError:
-        raise InputError(f"{path}: file not found; give a profile such as profiles/twin.yaml") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); give the path of a profile") from None
-    try:
-        return raw.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = raw.count(b"\n", 0, error.start) + 1
-        raise InputError(f"{path}:{line}: not UTF-8 text ({error.reason}); save the file as UTF-8") from None
+    return file_text(path, "give a profile such as profiles/twin.yaml")
 
 
 def _plain_data(

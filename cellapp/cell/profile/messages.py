@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -13,6 +12,7 @@ import yaml
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
+from cellapp.ground.counting import did_you_mean
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile.schema import Profile
 from cellapp.ground.removed import removed_key
@@ -236,8 +236,7 @@ def _expected(details: ErrorDetails, at: KeyPath, document: YamlDocument) -> str
         return f"expected {words} {context[key]:g}{unit}, got {got}"
     match kind:
         case "literal_error":
-            near = difflib.get_close_matches(str(value), re.findall(r"'([^']*)'", str(context["expected"])), n=1)
-            hint = f"; did you mean '{near[0]}'?" if near else ""
+            hint = did_you_mean(str(value), re.findall(r"'([^']*)'", str(context["expected"])))
             return f"expected {_choices(str(context['expected']))}, got {got}{hint}"
         case "too_long":
             return f"expected at most {context['max_length']} values, got {described(_value(document.data, at))}"
@@ -245,6 +244,8 @@ def _expected(details: ErrorDetails, at: KeyPath, document: YamlDocument) -> str
             return f"expected at least {context['min_length']} values, got {got}"
         case "string_too_short":
             return "expected a text, got an empty one"
+        case "string_pattern_mismatch":
+            return f"expected a text of the form {context['pattern'].strip('^$')}, got {got}"
         case _:
             return plain(details["msg"])
 
@@ -301,10 +302,9 @@ def _unknown_key(location: Sequence[Key], at: KeyPath, schema: type[Section]) ->
     if removed := removed_key(at):
         return removed
     known = [name for hint in _types_at(location[:-1], schema) for name in _fields_of(hint)]
-    near = difflib.get_close_matches(_MEANT.get(str(location[-1]), str(location[-1])), known, n=1, cutoff=0.5)
-    if near:
-        return f"unknown key; did you mean '{near[0]}'?"
-    return f"unknown key; known here are {', '.join(known)}"
+    key = str(location[-1])
+    hint = did_you_mean(_MEANT.get(key, key), known, cutoff=0.5, otherwise=f"; known here are {', '.join(known)}")
+    return f"unknown key{hint}"
 
 
 def _types_at(location: Sequence[Key], schema: type[Section]) -> list[Any]:

@@ -26,7 +26,7 @@ from cellapp.ground.profile import Arm, Profile
 from cellapp.robot.effects import EFFECTS, MeasurementConditions
 from cellapp.robot.effects.law import InputVariable
 from cellapp.robot.kinematics.chain import Geometry, flange_poses
-from cellapp.robot.kinematics.inverse import closed_form_solutions, solve_pose, turned_into
+from cellapp.robot.kinematics.inverse import closed_form_solutions, shifted_into, solve_pose
 from cellapp.robot.kinematics.transforms import Array, invert, rotation_from_vector, rotation_vectors, transform
 from cellapp.robot.model import ArmModel, CellModel
 
@@ -197,13 +197,13 @@ def _first_posture(place: Workplace, solutions: Array, middle: Array) -> tuple[A
     The controller takes the one nearest to where the arm stands: at home, where the profile has it. Else it must be the
     only one within the ranges of the readings, or the only one. Return it and why, or None and why not.
     """
-    rotated = [q for one in solutions if (q := nearest(one[None], place.limits, middle)) is not None]
-    within = [q for q in rotated if not outside(q, place.measured)]
+    shifted = [q for one in solutions if (q := nearest(one[None], place.limits, middle)) is not None]
+    within = [q for q in shifted if not outside(q, place.measured)]
     if place.home is not None:
         at_home = nearest(solutions, place.limits, place.home)
         if at_home is not None and (len(within) != 1 or not outside(at_home, place.measured)):
             return at_home, "home"
-    possible = within or rotated
+    possible = within or shifted
     if len(possible) == 1:
         return possible[0], "readings" if within else "reach"
     where = "" if within else ", each outside the calibrated range"
@@ -374,7 +374,7 @@ def branches(chain: Geometry, poses: Array, limits: Array, near: Array, seed: in
     which, starts = which[np.isfinite(starts[:, 0])], starts[np.isfinite(starts[:, 0])]
     solved = solve_pose(chain, poses[which, :3, 3], poses[which, :3, :3], starts)
     q = np.mod(solved.q + np.pi, 2.0 * np.pi) - np.pi
-    within = np.all(turned_into(q, limits, np.zeros(joints))[1] == 0.0, axis=1)
+    within = np.all(shifted_into(q, limits, np.zeros(joints))[1] == 0.0, axis=1)
     good = solved.reached & within
     return [_distinct(q[(which == k) & good]) for k in range(n)]
 
@@ -386,18 +386,18 @@ def nearest(solutions: Array, limits: Array, to: Array) -> Array | None:
     """
     if len(solutions) == 0:
         return None
-    rotated, beyond = turned_into(solutions, limits, to)
-    rotated = rotated[np.all(beyond == 0.0, axis=1)]
-    if len(rotated) == 0:
+    shifted, beyond = shifted_into(solutions, limits, to)
+    shifted = shifted[np.all(beyond == 0.0, axis=1)]
+    if len(shifted) == 0:
         return None
-    return np.asarray(rotated[np.argmin(np.sum((rotated - to) ** 2, axis=1))])
+    return np.asarray(shifted[np.argmin(np.sum((shifted - to) ** 2, axis=1))])
 
 
 def outside(q: Array, measured: Array) -> list[int]:
     """Return the indices of joints whose position in ``q`` (N,) is outside the readings (n, N), modulo whole turns."""
     low, high = measured.min(axis=0) - _MARGIN, measured.max(axis=0) + _MARGIN
-    rotated = q + 2.0 * np.pi * np.ceil((low - q) / (2.0 * np.pi))
-    return np.flatnonzero(rotated > high).tolist()
+    shifted = q + 2.0 * np.pi * np.ceil((low - q) / (2.0 * np.pi))
+    return np.flatnonzero(shifted > high).tolist()
 
 
 def nearest_vector(vector: Sequence[float], to: Sequence[float]) -> Array:

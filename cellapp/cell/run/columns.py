@@ -662,9 +662,9 @@ def _speed_unit(columns: Columns, names: tuple[str, ...], q: NDArray[np.float64]
     qd = _matrix(columns, names)
     step = np.diff(columns["time_s"])
     steady = (step > 0.0) & (step < _GAP * np.median(step[step > 0.0]))
-    turned = np.diff(q, axis=0)[steady]
+    change = np.diff(q, axis=0)[steady]
     by_speed = 0.5 * (qd[1:] + qd[:-1])[steady] * step[steady, np.newaxis]
-    ratio = math.sqrt(float((by_speed**2).sum()) / max(float((turned**2).sum()), 1e-300))
+    ratio = math.sqrt(float((by_speed**2).sum()) / max(float((change**2).sum()), 1e-300))
     if not 0.1 < ratio < 10.0 and ratio > 0.0:
         hint = "; are these degrees a second? Then name the columns qd1_deg, ..." if 40.0 < ratio < 80.0 else ""
         yield Implausible(None, "qd1", f"the speeds are {ratio:.3g} times those of q1..; expected rad/s{hint}")
@@ -762,8 +762,8 @@ def without_part_of_orientation(table: StreamTable) -> tuple[StreamTable, list[s
     """Drop orientations if rows lack them, as a fit then uses points only; return also a sentence about it."""
     if any(name not in table.columns for name in QUATERNION):
         return table, []
-    turned = np.column_stack([table.columns[name] for name in QUATERNION])
-    empty = np.isnan(turned).any(axis=1) | (turned == 0.0).all(axis=1)
+    rotation = np.column_stack([table.columns[name] for name in QUATERNION])
+    empty = np.isnan(rotation).any(axis=1) | (rotation == 0.0).all(axis=1)
     if not empty.any():
         return table, []
     kept = {name: values for name, values in table.columns.items() if name not in QUATERNION}
@@ -780,10 +780,10 @@ def _speeds(
         return []
     step = np.diff(columns["time_s"]) * factors.get("time_s", 1.0)
     steady = step > 0.5 * float(np.median(step[step > 0.0])) if (step > 0.0).any() else step > 0.0
-    turned = np.array([np.diff(columns[q])[steady] * factors.get(q, 1.0) / step[steady] for q, _ in names])
+    rates = np.array([np.diff(columns[q])[steady] * factors.get(q, 1.0) / step[steady] for q, _ in names])
     stated = np.array([columns[qd][1:][steady] for _, qd in names])
-    known = np.isfinite(turned) & np.isfinite(stated)
-    ratio = math.sqrt(float(np.sum(stated[known] ** 2)) / max(float(np.sum(turned[known] ** 2)), 1e-300))
+    known = np.isfinite(rates) & np.isfinite(stated)
+    ratio = math.sqrt(float(np.sum(stated[known] ** 2)) / max(float(np.sum(rates[known] ** 2)), 1e-300))
     if not 40.0 < ratio < 80.0:
         return []
     factors |= dict.fromkeys(speeds, _DEG)

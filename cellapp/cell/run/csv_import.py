@@ -8,7 +8,6 @@ measurement, which gives each joint's last motion (``in_order``). Unknown column
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 
@@ -33,6 +32,7 @@ from cellapp.estimation.calibration.quantities import repeats_words
 from cellapp.estimation.calibration.station_location import COMPUTED, explained, wrong_factory
 from cellapp.estimation.readings.columns import COLUMNS, CONFIGURATION, OF_SOCKETS
 from cellapp.estimation.readings.readings import Readings, lost_points, one_pose_a_stop, smr_names
+from cellapp.ground.counting import did_you_mean
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Arm, Profile
 from cellapp.ground.removed import removed_readings
@@ -264,8 +264,7 @@ def _check_header(table: CsvTable, problems: Problems) -> None:
         problems.check()
     for name in ("arm", *(name for column in COLUMNS if column.required for name in column.csv_names(1))):
         if name not in names:
-            close = difflib.get_close_matches(name, unknown, n=1, cutoff=0.6)
-            hint = f"; is '{close[0]}' meant? Its name and unit must be as written here" if close else ""
+            hint = did_you_mean(name, unknown, "; is '{}' meant? Its name and unit must be as written here")
             problems.add(1, name, f"the column is missing{hint}")
     for column in not_per_joint():
         if not column.required and any(name in names for name in column.csv):
@@ -281,15 +280,13 @@ def _notes(table: CsvTable, joint_counts: Mapping[str, int], readings: Mapping[s
     notes = []
     known = sorted({"arm", *(name for column in not_per_joint() for name in column.csv)})
     most = max(joint_counts.values())
-    unknown = {
-        name: difflib.get_close_matches(name, known, n=1, cutoff=0.75) for name in table.names if not is_known(name)
-    }
+    unknown = {name: did_you_mean(name, known, "{}", cutoff=0.75) for name in table.names if not is_known(name)}
     for name in table.names:
         found = stem_and_joint(name)
         if found is not None and found[1] > most:
             notes.append(f"{table.path}: column '{name}' is empty and no arm has that joint; it is not imported")
         if close := unknown.get(name):
-            notes.append(f"{table.path}: column '{name}' is unknown (is '{close[0]}' meant?); it is kept and not used")
+            notes.append(f"{table.path}: column '{name}' is unknown (is '{close}' meant?); it is kept and not used")
     if others := [f"'{name}'" for name, close in unknown.items() if not close]:
         words = "column {} is unknown; it is" if len(others) == 1 else "columns {} are unknown; they are"
         notes.append(f"{table.path}: {words.format(', '.join(others))} kept and not used")

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import codecs
 import csv
-import difflib
 import io
 import itertools
 import math
@@ -30,6 +29,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cellapp.estimation.readings.columns import COLUMNS, CONFIGURATION, Column
+from cellapp.ground.counting import did_you_mean
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs
 from cellapp.ground.profile import Profile
@@ -133,11 +133,11 @@ def write_csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[str]], 
     outputs.write_text(path, table_text(header, rows))
 
 
-def table_text(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Format a table as CSV."""
+def table_text(header: Sequence[str], rows: Iterable[Sequence[str]], end: str = "\r\n") -> str:
+    """Format a table as CSV, with this ``end`` of each line."""
     text = io.StringIO(newline="")
     # The writer quotes a carriage return within a text only if the line terminator contains one.
-    writer = csv.writer(text, lineterminator="\r\n")
+    writer = csv.writer(text, lineterminator=end)
     writer.writerow(header)
     writer.writerows(rows)
     return text.getvalue()
@@ -584,8 +584,7 @@ def _arm_arrays(profile: Profile, name: str, quantities: Mapping[str, Any]) -> d
         raise InputError(f"arm {name}: expected names with arrays, as {{'q': ..., 'p_M': ...}}, got {quantities!r:.40}")
     for quantity in quantities:
         if quantity not in _BY_NAME:
-            close = difflib.get_close_matches(quantity, _BY_NAME, n=1, cutoff=0.4)
-            hint = f"; did you mean '{close[0]}'?" if close else f"; known are {', '.join(_BY_NAME)}"
+            hint = did_you_mean(quantity, _BY_NAME, cutoff=0.4, otherwise=f"; known are {', '.join(_BY_NAME)}")
             raise InputError(f"arm {name}: no quantity is called '{quantity}'{hint}")
     for column in COLUMNS:
         if column.required and column is not CONFIGURATION and quantities.get(column.name) is None:

@@ -20,16 +20,16 @@ import tempfile
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Literal, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import TypeAdapter, ValidationError
 
 from cellapp.cell.run.sqlite_file import (
     FILE_NAME,
     FORMER_COLUMNS,
     UNFINISHED,
-    Document,
     Event,
     Outcome,
     ReferenceRow,
@@ -58,7 +58,7 @@ from cellapp.cell.run.sqlite_file import (
 )
 from cellapp.cell.run.stations import in_one_frame, select_stations
 from cellapp.estimation.readings.columns import COLUMNS, OF_SEVERAL, OF_SOCKETS, SPLITS, Column, Values
-from cellapp.estimation.readings.readings import Reading, Readings, readings_from_columns
+from cellapp.estimation.readings.readings import Readings, readings_from_columns
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.grouping import grouped
@@ -208,6 +208,8 @@ def _extras_from_cells(cells: Sequence[str | None]) -> dict[str, tuple[str, ...]
     names = dict.fromkeys(name for row in rows for name in row)
     return {name: tuple(str(row.get(name, "")) for row in rows) for name in names}
 
+
+T = TypeVar("T")
 
 _BLOCK = bytes(65536)
 _SESSIONS = 4
@@ -389,7 +391,7 @@ class RunFile:
 
     # -- readings ----------------------------------------------------------------------------------------------------
 
-    def add_stop(self, configuration: int, rows: Mapping[str, Reading], outcomes: Sequence[Outcome] = ()) -> None:
+    def add_stop(self, configuration: int, rows: Mapping[str, Readings], outcomes: Sequence[Outcome] = ()) -> None:
         """Store one stop of all arms, and why arms have no reading there, in one transaction; on return it is on disk.
 
         Raises
@@ -399,7 +401,7 @@ class RunFile:
         ValueError
             If an array has the wrong shape or a required value is not finite.
         """
-        self._add({arm: reading.as_readings(configuration) for arm, reading in rows.items()}, outcomes)
+        self._add({arm: reading.at_stop(configuration) for arm, reading in rows.items()}, outcomes)
 
     def add_readings(self, arm: str, readings: Readings) -> None:
         """Store readings of one arm in one transaction. Raises as ``add_stop`` does."""
@@ -540,10 +542,21 @@ class RunFile:
     def read_result(self, name: str) -> str | None:
         """Return the text of a stored document, or None."""
         document = self.read_document(name)
-        return None if document is None else document.text
+        return None if document is None else document[1]
 
-    def read_document(self, name: str) -> Document | None:
-        """Return a stored document, or None."""
+    def read_checked(self, name: str, kind: TypeAdapter[T], otherwise: T, to_do: str) -> T:
+        """Return a stored document of this ``kind``, or ``otherwise``.
+
+        Raise ``InputError`` with what is ``to_do`` if it is damaged.
+        """
+        text = self.read_result(name)
+        try:
+            return otherwise if text is None else kind.validate_json(text, extra="ignore")
+        except ValidationError as error:
+            raise InputError(f"{self.path}: the document '{name}' is damaged; {to_do}") from error
+
+    def read_document(self, name: str) -> tuple[str, str] | None:
+        """Return when a stored document was written (UTC), and its text; None without one."""
         with self.look() as connection:
             return select_document(connection, name)
 

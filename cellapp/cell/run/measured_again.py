@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,28 +15,13 @@ from numpy.typing import NDArray
 from cellapp.cell.run.file import RunFile, check_readings, insert_readings, select_readings
 from cellapp.cell.run.records import ReferenceDrift
 from cellapp.cell.run.sqlite_file import Outcome, insert_outcome, schema_version, stored_columns, utc_now
-from cellapp.estimation.readings.readings import Reading, Readings
+from cellapp.estimation.readings.readings import Readings
 
 _SINCE = 9
 """Schema version from which on a stop may be measured again."""
 
 
-@dataclass(frozen=True)
-class EarlierReadings:
-    """The replaced readings of one arm, by stop, the oldest first.
-
-    Attributes
-    ----------
-    readings : Readings
-    replaced : tuple of str
-        When each was replaced (ISO 8601, UTC).
-    """
-
-    readings: Readings
-    replaced: tuple[str, ...]
-
-
-def replace_stop(run: RunFile, stop: int, rows: Mapping[str, Reading], outcomes: Sequence[Outcome] = ()) -> None:
+def replace_stop(run: RunFile, stop: int, rows: Mapping[str, Readings], outcomes: Sequence[Outcome] = ()) -> None:
     """Store one stop that was measured again, in one transaction; on return it is on disk.
 
     The previous reading is kept, and the new one takes its split: measuring again moves no stop between identification
@@ -50,7 +35,7 @@ def replace_stop(run: RunFile, stop: int, rows: Mapping[str, Reading], outcomes:
     ValueError
         If an array has the wrong shape or a required value is not finite.
     """
-    batches = {arm: reading.as_readings(stop) for arm, reading in rows.items()}
+    batches = {arm: reading.at_stop(stop) for arm, reading in rows.items()}
     for arm, readings in batches.items():
         check_readings(arm, len(run.profile.arms[arm].type.joints), readings)
     with run.change() as connection:
@@ -62,18 +47,19 @@ def replace_stop(run: RunFile, stop: int, rows: Mapping[str, Reading], outcomes:
                 insert_outcome(connection, outcome)
 
 
-def earlier_readings(run: RunFile, arm: str) -> EarlierReadings:
-    """Return the replaced readings of an arm; none in a file of an older schema."""
+def earlier_readings(run: RunFile, arm: str) -> tuple[Readings, tuple[str, ...]]:
+    """Return the replaced readings of an arm, by stop, the oldest first, and when each was replaced (ISO 8601, UTC).
+
+    None in a file of an older schema.
+    """
     with run.look() as connection:
         if schema_version(connection) < _SINCE:
-            return EarlierReadings(run.rows(arm).take([]), ())
+            return run.rows(arm).take([]), ()
         times = connection.execute(
             "SELECT replaced FROM earlier_reading WHERE arm = ? ORDER BY configuration, rowid", (arm,)
         )
         joints = len(run.profile.arms[arm].type.joints)
-        return EarlierReadings(
-            select_readings(connection, arm, joints, "earlier_reading"), tuple(replaced for (replaced,) in times)
-        )
+        return select_readings(connection, arm, joints, "earlier_reading"), tuple(replaced for (replaced,) in times)
 
 
 def replaced_counts(run: RunFile) -> dict[str, int]:

@@ -8,12 +8,11 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import TypeAdapter, ValidationError
+from pydantic import TypeAdapter
 
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.records import ArmOrder
 from cellapp.estimation.readings.readings import Readings
-from cellapp.ground.errors import InputError
 
 MOVED_RAD = 1e-4
 """Steps up to this are encoder noise and rounding: the joint does not move. Joints at rest were seen to read 0.04 mrad
@@ -97,11 +96,7 @@ def read_in_order(run: RunFile) -> dict[str, ArmOrder]:
     InputError
         If the document is not one that ``write_in_order`` writes.
     """
-    text = run.read_result(IN_ORDER_RESULT)
-    try:
-        return {} if text is None else _DOCUMENT.validate_json(text)
-    except ValidationError as error:
-        raise InputError(f"{run.path}: the document '{IN_ORDER_RESULT}' is damaged; import the file again") from error
+    return run.read_checked(IN_ORDER_RESULT, _DOCUMENT, {}, "import the file again")
 
 
 def order_sentences(orders: Mapping[str, ArmOrder]) -> list[str]:

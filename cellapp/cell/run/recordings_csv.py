@@ -8,7 +8,6 @@ was lost. Unknown columns are kept.
 
 from __future__ import annotations
 
-import difflib
 import itertools
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -43,6 +42,7 @@ from cellapp.cell.run.orientation_columns import QUATERNION, Written, written_or
 from cellapp.cell.run.records import RecordingState
 from cellapp.cell.run.stream_csv import StreamTable, read_stream_table
 from cellapp.estimation.readings.columns import SPLITS
+from cellapp.ground.counting import did_you_mean
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 
@@ -209,8 +209,7 @@ def _check_columns(file: CsvFile, kind: Kind, known: Understood, quantities: Map
         if name not in names and name in known.doubled:
             problems.add(file.head, name, f"two columns may be it ({', '.join(known.doubled[name])}); {_TAKE}")
         elif name not in names:
-            close = difflib.get_close_matches(name, file.names, n=1, cutoff=0.5)
-            meant = f" is '{close[0]}' meant?" if close else ""
+            meant = did_you_mean(name, file.names, " is '{}' meant?", cutoff=0.5)
             there_are = short(", ".join(file.names), _LONGEST_HEADER)
             problems.add(
                 file.head, name, f"the column is missing;{meant} rename the one that is it; the file has {there_are}"

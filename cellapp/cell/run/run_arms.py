@@ -57,13 +57,7 @@ class StoredIdentity:
 
 def recorded_controllers(run: RunFile) -> dict[str, ControllerIdentity]:
     """Return the controllers that a run has recorded, by arm. Raise ``InputError`` if the record is damaged."""
-    text = run.read_result(CONTROLLERS_RESULT)
-    if text is None:
-        return {}
-    try:
-        return STORED_CONTROLLERS.validate_json(text)
-    except ValidationError:
-        raise InputError(f"{run.path}: the record of its controllers is damaged; start a new run") from None
+    return run.read_checked(CONTROLLERS_RESULT, STORED_CONTROLLERS, {}, "start a new run")
 
 
 def arm_identities(run: RunFile) -> Mapping[str, StoredIdentity]:

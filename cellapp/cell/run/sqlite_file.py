@@ -54,23 +54,17 @@ class StageRow:
     model: str | None
 
 
-@dataclass(frozen=True)
-class Document:
-    """One entry of the table ``result``: when it was written (UTC), and what."""
-
-    written: str
-    text: str
-
-
 def utc_now() -> str:
     """Return the current time in the format of rows (ISO 8601, UTC)."""
     return datetime.now(UTC).isoformat(timespec="milliseconds")
 
 
-def select_document(connection: sqlite3.Connection, name: str) -> Document | None:
-    """Return a stored document, or None."""
-    row = connection.execute("SELECT written, text FROM result WHERE name = ?", (name,)).fetchone()
-    return None if row is None else Document(*row)
+def select_document(connection: sqlite3.Connection, name: str) -> tuple[str, str] | None:
+    """Return when a stored document was written (UTC), and its text; None without one."""
+    found: tuple[str, str] | None = connection.execute(
+        "SELECT written, text FROM result WHERE name = ?", (name,)
+    ).fetchone()
+    return found
 
 
 def insert_document(connection: sqlite3.Connection, name: str, text: str) -> None:
@@ -270,7 +264,7 @@ def make_empty_folder(folder: Path) -> list[Path]:
     """
     if folder.is_dir():
         with sentences(folder):
-            names = sorted(entry.name for entry in folder.iterdir() if not entry.name.startswith(UNFINISHED))
+            names = sorted(one.name for one in folder.iterdir() if one.is_dir() or not one.name.startswith(UNFINISHED))
         if FILE_NAME in names:
             raise InputError(
                 f"{folder} already holds a run ({FILE_NAME}): 'cellapp show {shell_word(folder)}' says what"

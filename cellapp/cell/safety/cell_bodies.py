@@ -66,6 +66,21 @@ def cell_bodies(profile: Profile, model: CellModel | None = None) -> CellBodies:
     return cell
 
 
+def require_arms(profile: Profile, model: CellModel) -> None:
+    """Raise ``InputError`` unless a model is of the profile's arms, and each of these has a home position."""
+    if set(model.arms) != set(profile.arms):
+        known, asked = ", ".join(model.arms), ", ".join(profile.arms)
+        raise InputError(f"the calibration is of arms {known}, the profile of arms {asked}; calibrate this run again")
+    for name, arm in profile.arms.items():
+        joints, identified = len(arm.type.joints), model.arms[name].geometry.joints
+        if joints != identified:
+            raise InputError(
+                f"the calibration of arm {name} has {identified} joints, the profile {joints}; calibrate this run again"
+            )
+        if arm.home is None:
+            raise InputError(f"profile {profile.name}: arms.{name}.home is needed: an arm waits there for the others")
+
+
 def home_positions(profile: Profile) -> dict[str, np.ndarray]:
     """Return the joint positions before and after a job, arm -> (N,) [rad]; only of arms with a home position."""
     return {name: np.array(arm.home) for name, arm in profile.arms.items() if arm.home is not None}

@@ -713,7 +713,7 @@ def _beside_chords(q: Array, rows: np.ndarray, travelled: Array) -> Array:
 #
 # Each controller has its own clock: one arm may start a little later than another, or fall behind. The gate accepts
 # paths of several arms with a margin (``allowed_apart_m``). While they move, the deviation from the same row is
-# computed from their joints (``PathsAtOnce.apart_m``); more than ``MOST_APART_M`` is a fault, which stops all arms.
+# computed from their joints (``apart_m``); more than ``MOST_APART_M`` is a fault, which stops all arms.
 
 
 MOST_APART_M = 0.05
@@ -736,17 +736,10 @@ def allowed_apart_m(cell: CellBodies, paths: Mapping[str, Array], period_s: floa
     return MOST_APART_M + _REACTION_S * sorted(steps_m)[-2] / period_s
 
 
-@dataclass(frozen=True, eq=False)
-class PathsAtOnce:
-    """Paths of several arms, arm -> (m, N) [rad]; all arms are to be at the same row at the same time."""
-
-    cell: CellBodies
-    paths: Mapping[str, Array]
-
-    def apart_m(self, q: Mapping[str, Array]) -> float:
-        """Compute how far arms at ``q`` (arm -> (N,) [rad]) are at most from all being at one row [m]."""
-        off = [np.abs(path - q[name]) @ self.cell.arms[name].levers for name, path in self.paths.items()]
-        return float(np.sum(off, axis=0).min())
+def apart_m(cell: CellBodies, paths: Mapping[str, Array], q: Mapping[str, Array]) -> float:
+    """Compute how far arms at ``q`` (arm -> (N,) [rad]) are at most from all being at one row of ``paths`` [m]."""
+    off = [np.abs(path - q[name]) @ cell.arms[name].levers for name, path in paths.items()]
+    return float(np.sum(off, axis=0).min())
 
 
 def on_rows(q: Array, period_s: float, wanted_s: float) -> Array:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
+from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions, require_arms
 from cellapp.cell.safety.gate import CellBodies, refuse_stop, visible
 from cellapp.cell.targets.goals import ArmGoals, goals_of_arm
 from cellapp.cell.targets.invert import (
@@ -50,7 +50,6 @@ from cellapp.cell.targets.ranges import (
 )
 from cellapp.cell.targets.records import CompensateResult
 from cellapp.cell.targets.targets import Target
-from cellapp.ground.errors import InputError
 from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import MeasurementConditions
@@ -83,7 +82,7 @@ def compensate(
     InputError
         If the profile does not state where arms and tracker are, or the model is of other arms.
     """
-    _check_arms(profile, model)
+    require_arms(profile, model)
     cell, homes = cell_bodies(profile, model), home_positions(profile)
     commands: dict[tuple[int, str], Command] = {}
     for names, numbers in grouped((target.arms, number) for number, target in enumerate(targets)).items():
@@ -99,20 +98,6 @@ def compensate_result(commands: Sequence[Command], notes: Sequence[str] = ()) ->
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
-
-
-def _check_arms(profile: Profile, model: CellModel) -> None:
-    if set(model.arms) != set(profile.arms):
-        known, asked = ", ".join(model.arms), ", ".join(profile.arms)
-        raise InputError(f"the calibration is of arms {known}, the profile of arms {asked}; calibrate this run again")
-    for name, arm in profile.arms.items():
-        joints, identified = len(arm.type.joints), model.arms[name].geometry.joints
-        if joints != identified:
-            raise InputError(
-                f"the calibration of arm {name} has {identified} joints, the profile {joints}; calibrate this run again"
-            )
-        if arm.home is None:
-            raise InputError(f"profile {profile.name}: arms.{name}.home is needed: an arm waits there for the others")
 
 
 @dataclass(frozen=True, eq=False)

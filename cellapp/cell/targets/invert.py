@@ -13,7 +13,7 @@ from cellapp.cell.safety.bodies import place
 from cellapp.cell.safety.gate import CellBodies, clear_alone, clear_stops, visible
 from cellapp.ground.errors import NotConverged
 from cellapp.robot.effects import MeasurementConditions
-from cellapp.robot.kinematics.inverse import damped_step, errors_and_jacobian, sampled_configurations, turned_into
+from cellapp.robot.kinematics.inverse import damped_step, errors_and_jacobian, sampled_configurations, shifted_into
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
 
@@ -259,7 +259,7 @@ def judged_branches(cell: CellBodies, homes: Mapping[str, Array], name: str, sol
     """Judge all solutions (n, K, N) [rad] of an arm for n targets."""
     n, K, _ = solutions.shape
     limits, home = cell.arms[name].limits, homes[name]
-    q, beyond = turned_into(solutions, limits, home)
+    q, beyond = shifted_into(solutions, limits, home)
     motion = np.abs(q - home)
     motion = np.stack([motion.max(axis=2), motion.sum(axis=2)]).round(_TIE_DECIMALS)
     rows, branch = np.nonzero(np.isfinite(q[:, :, 0]) & np.all(beyond == 0.0, axis=2))
@@ -272,7 +272,7 @@ def judged_branches(cell: CellBodies, homes: Mapping[str, Array], name: str, sol
 
 
 def admissible_configurations(cell: CellBodies, homes: Mapping[str, Array], name: str, seed: int) -> Array:
-    """Draw configurations (m, N) [rad] of an arm that the gate accepts and the tracker sees, the others at home."""
+    """Sample configurations (m, N) [rad] of an arm that the gate accepts and the tracker sees, the others at home."""
     samples = sampled_configurations(cell.arms[name].limits, homes[name], seed)
     others = {other: np.tile(at, (len(samples), 1)) for other, at in homes.items() if other != name}
     samples = samples[visible(cell, name, samples, others)]

@@ -18,10 +18,11 @@ from pydantic import AfterValidator, Field, ValidationError, field_validator, mo
 from pydantic_core import PydanticCustomError
 
 from cellapp.cell.profile.messages import value_message
-from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
+from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions, require_arms
 from cellapp.cell.safety.gate import CellBodies, refuse_motion, refuse_path, visible
 from cellapp.cell.targets.goals import goals_of_arm
 from cellapp.cell.targets.ranges import load_centers
+from cellapp.cell.targets.target_csv import is_csv
 from cellapp.cell.targets.target_source import location, placed_error, read_yaml
 from cellapp.cell.targets.targets import Target, WorkFrame, WorkingConditions
 from cellapp.ground.errors import InputError
@@ -61,12 +62,6 @@ def _speed(value: float) -> float:
             f"expected a speed above 0 and at most {_FASTEST_M_S:g} m/s, got {value:g} m/s;"
             f" a plain number is m/s, write '{value:g} mm/s' for mm/s"
         )
-    return value
-
-
-def _above_zero(value: float) -> float:
-    if not value > 0.0:
-        raise ValueError(f"expected a value above 0, got {value:g}")
     return value
 
 
@@ -116,7 +111,7 @@ class PathSpec(Section):
     work_frame: WorkFrame | None = None
     tolerance: Annotated[Length, Field(gt=0.0, le=0.01)]
     speed: PathSpeed
-    acceleration: Annotated[Acceleration, AfterValidator(_above_zero), Field(le=10.0)] = 0.5
+    acceleration: Annotated[Acceleration, Field(gt=0.0, le=10.0)] = 0.5
     conditions: WorkingConditions = WorkingConditions()
     poses: Annotated[tuple[PathPose, ...], Field(min_length=2)]
 
@@ -159,7 +154,7 @@ class PathList(Section):
 
 def holds_paths(path: Path) -> bool:
     """Return whether a file is a path file: YAML that says so in its key ``schema``."""
-    content = None if path.suffix.lower() == ".csv" else read_yaml(path).content
+    content = None if is_csv(path) else read_yaml(path).content
     return isinstance(content, dict) and content.get("schema") == _SCHEMA
 
 
@@ -241,7 +236,7 @@ def _piece_problem(before: PathPose, pose: PathPose) -> str:
 
 
 class PathReversal(Record):
-    """A joint that turns round: place, play crossed there as displacement of the SMR, and way in which it is crossed.
+    """A joint that reverses: place, play crossed there as displacement of the SMR, and way in which it is crossed.
 
     ``window_mm`` is 0 where the arm stands meanwhile.
     """
@@ -342,12 +337,8 @@ def plan_path(profile: Profile, model: CellModel, spec: PathSpec, period_s: floa
     ``period_s`` is that of the arm's controller [s]. Raise ``InputError`` if the profile lacks what planning needs, or
     the model is of other arms.
     """
-    if set(model.arms) != set(profile.arms):
-        known, asked = ", ".join(model.arms), ", ".join(profile.arms)
-        raise InputError(f"the calibration is of arms {known}, the profile of arms {asked}; calibrate this run again")
+    require_arms(profile, model)
     homes = home_positions(profile)
-    if missing := [name for name in profile.arms if name not in homes]:
-        raise InputError(f"profile {profile.name}: arms.{missing[0]}.home is needed: a path begins and ends there")
     arm, cell = model.arms[spec.arm], cell_bodies(profile, model)
     path, nominal_path = paths_of(model, spec)
     limits = cell.arms[spec.arm].limits

@@ -34,7 +34,7 @@ from cellapp.robot.model import ArmModel
 from cellapp.robot.model.model import PosteriorSamples
 
 AT_ONCE = 1000
-"""Number of configurations per batch: their posterior draws take some tens of MB."""
+"""Number of configurations per batch: their posterior samples take some tens of MB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +127,7 @@ def _never_measured(payload_kg: float, ranges: ConditionRanges) -> list[str]:
 
 
 def spread_of(arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges: ConditionRanges) -> Extent:
-    """Return the covariances of a model with posterior draws at ``q`` (n, N) [rad].
+    """Return the covariances of a model with posterior samples at ``q`` (n, N) [rad].
 
     Outside the joint ranges of the readings, ``extrapolation`` is what exceeds the values at the nearest configuration
     inside: additional spread of geometry and effects, and the network's correction, which fades out there although the
@@ -299,7 +299,7 @@ def predicted_rotations(
 
 
 def _covariance(arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges: ConditionRanges) -> Array:
-    """Return covariances (n, 3, 3) [rad^2] of orientations at ``q`` (n, N) [rad] from a model's posterior draws."""
+    """Return covariances (n, 3, 3) [rad^2] of orientations at ``q`` (n, N) [rad] from a model's posterior samples."""
     assert arm.posterior is not None
     near = ranges.nearest_loaded(arm, q, conditions)
     moved = arm.posterior.displacements(arm.geometry, arm.effects, arm.context(q, conditions=near))
@@ -374,7 +374,7 @@ class Predicted:
     rotations: Sequence[PredictedRotation | None]
 
     def samples(self) -> tuple[Array, Array, Array]:
-        """Return SMR positions (n, 3) [m], and draws (S, n, 3) of their errors [m] and of the orientations' [rad]."""
+        """Return SMR positions (n, 3) [m], and samples (S, n, 3) of their errors [m] and of the orientations' [rad]."""
         assert self.arm.posterior is not None
         came = from_home(self.conditions, self.q, self.home)
         rotated = replace(came, R_M_S=self.arm.orientation(self.q, came))
@@ -387,7 +387,8 @@ class Predicted:
         return self.arm.predict(self.q, conditions=came), moved[0], moved[1]
 
     def others(self, *samples: Array) -> Array:
-        """Return the variances (2, n) of a coordinate [m^2] and of a component of rotation [rad^2] beside the draws."""
+        """Return the variances (2, n) of a coordinate [m^2] and of a component of rotation [rad^2] beside the
+        samples."""
         known = zip(self.positions, self.rotations, strict=True)
         whole = [
             (one.uncertainty_mm, its.uncertainty_mrad) for one, its in known if one is not None and its is not None

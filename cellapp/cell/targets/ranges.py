@@ -535,7 +535,7 @@ def _dependent(arm: ArmModel, condition: str) -> tuple[EffectTerm, ...]:
 
 def _variables(term: EffectTerm) -> frozenset[InputVariable]:
     own = term.law.form.variables or EFFECTS[term.slug].variables
-    return own | {one.driver.quantity.input for one in term.modulations if one.driver is not None}
+    return own | {one.variable.quantity.input for one in term.modulations if one.variable is not None}
 
 
 def _unstated(conditions: MeasurementConditions, condition: str, n: int) -> NDArray[np.bool_]:

@@ -306,6 +306,10 @@ class VerifyResult(Result, schema="cellapp-verify"):
     notes: tuple[str, ...] = ()
     common: Mapping[str, CommonUncertainty] = {}
 
+    def of_arm(self, arm: str) -> list[MeasuredTarget]:
+        """Return the targets of one arm."""
+        return [one for one in self.targets if one.arm == arm]
+
     def complaints(self) -> list[str]:
         """Return why the verification failed: stopped, no improvement, or out of tolerance; empty if it did not.
 
@@ -320,26 +324,17 @@ class VerifyResult(Result, schema="cellapp-verify"):
                 found += _no_better(f"arm {name}: the mean error at", arm)
         if self.cooperative is not None:
             found += _no_better("pairs: the mean error of the distance at", self.cooperative)
+        seen = [(one, one.relative) for one in self.pairs if one.relative is not None]
         return [
             *found,
             *_out_of_tolerance("targets", self.targets),
-            *_rotated_out_of_tolerance("targets", self.targets),
             *_out_of_tolerance("pairs", self.pairs),
-            *_rotated_out_of_tolerance("pairs", self.pairs),
-            *_named_out("pairs with a tolerance, one SMR seen from the other flange,", *self._off_seen()),
+            *_named_out(
+                "pairs with a tolerance, one SMR seen from the other flange,",
+                "mm",
+                [(one.name, off.final_mm, one.tolerance_mm, off.position_verdict) for one, off in seen],
+            ),
         ]
-
-    def _off_seen(self) -> tuple[list[tuple[str, ToleranceVerdict]], list[ToleranceVerdict]]:
-        """Return what is out of tolerance of the partner's SMR as seen from the first flange, and all verdicts."""
-        judged = [(one, one.relative) for one in self.pairs if one.relative is not None]
-        out = [
-            (f"{one.name} ({off.final_mm:.3f} mm, tolerance {one.tolerance_mm:g} mm)", off.position_verdict)
-            for one, off in judged
-            if one.tolerance_mm is not None
-            and off.final_mm is not None
-            and (off.position_verdict == "out" or off.final_mm > one.tolerance_mm)
-        ]
-        return out, [off.position_verdict for _, off in judged]
 
 
 def _no_better(subject: str, errors: ArmVerification) -> list[str]:
@@ -352,38 +347,31 @@ def _no_better(subject: str, errors: ArmVerification) -> list[str]:
 
 
 def _out_of_tolerance(what: str, measured: Sequence[MeasuredTarget | MeasuredPair]) -> list[str]:
-    out = [
-        (f"{one.name} ({one.final_mm:.3f} mm, tolerance {one.tolerance_mm:g} mm)", one.verdict)
-        for one in measured
-        if one.verdict == "out" or _beyond(one)
-    ]
-    return _named_out(f"{what} with a tolerance", out, [one.verdict for one in measured])
-
-
-def _rotated_out_of_tolerance(what: str, measured: Sequence[MeasuredTarget | MeasuredPair]) -> list[str]:
-    """Return the same for the flange's rotation, or that of one flange in the other's frame."""
+    """Return sentences on positions and on rotations, of the flange or of one flange in the other's frame."""
     rotated = [(one, one.orientation) for one in measured if one.orientation is not None]
+    return _named_out(
+        f"{what} with a tolerance", "mm", [(one.name, one.final_mm, one.tolerance_mm, one.verdict) for one in measured]
+    ) + _named_out(
+        f"{what} with a tolerance of orientation",
+        "mrad",
+        [(one.name, angle.final_mrad, one.orientation_tolerance_mrad, angle.verdict) for one, angle in rotated],
+    )
+
+
+def _named_out(
+    what: str, unit: str, judged: Sequence[tuple[str, float | None, float | None, ToleranceVerdict]]
+) -> list[str]:
+    """Return a sentence on what is out of tolerance, of (name, value, tolerance, verdict); empty if nothing is."""
     out = [
-        (f"{one.name} ({angle:.3f} mrad, tolerance {limit:g} mrad)", rotation.verdict)
-        for one, rotation in rotated
-        if (angle := rotation.final_mrad) is not None
-        and (limit := one.orientation_tolerance_mrad) is not None
-        and (rotation.verdict == "out" or angle > limit)
+        (f"{name} ({value:.3f} {unit}, tolerance {limit:g} {unit})", verdict)
+        for name, value, limit, verdict in judged
+        if value is not None and limit is not None and (verdict == "out" or value > limit)
     ]
-    return _named_out(f"{what} with a tolerance of orientation", out, [rotation.verdict for _, rotation in rotated])
-
-
-def _named_out(what: str, out: Sequence[tuple[str, ToleranceVerdict]], judged: Sequence[ToleranceVerdict]) -> list[str]:
-    """Return a sentence on what is out of tolerance, with counts of all that was judged; empty if nothing is."""
     if not out:
         return []
     named = [words for words, _ in out[:_MOST_NAMED]]
     more = [f"{len(out) - _MOST_NAMED} more"] if len(out) > _MOST_NAMED else []
     undecided = sum(verdict != "out" for _, verdict in out)
     proven = f" ({undecided} of these not proven with the uncertainty)" if undecided else ""
-    total = sum(verdict != "" for verdict in judged)
+    total = sum(verdict != "" for *_, verdict in judged)
     return [f"{len(out)} of {total} {what} are out of it: {', '.join([*named, *more])}{proven}"]
-
-
-def _beyond(one: MeasuredTarget | MeasuredPair) -> bool:
-    return one.final_mm is not None and one.tolerance_mm is not None and one.final_mm > one.tolerance_mm

@@ -18,17 +18,27 @@ have the same unit, and so have all angles.
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from cellapp.cell.profile.messages import KeyPath
-from cellapp.cell.run.csv_text import NUMBER, CsvTable, Problems, check_names, read_csv_table, short, unquoted_text
+from cellapp.cell.run.csv_text import (
+    COMMENTS,
+    NUMBER,
+    CsvTable,
+    Problems,
+    check_names,
+    read_csv_table,
+    short,
+    unquoted_text,
+)
 from cellapp.cell.targets.target_source import TargetSource
+from cellapp.ground.counting import did_you_mean
 from drivers.quantities import parse_quantity
 
 _WORDS: Mapping[str, KeyPath] = {
@@ -85,6 +95,15 @@ class _Column:
     path: KeyPath
     unit: str
     factor: float
+
+
+def is_csv(path: Path) -> bool:
+    """Return whether a file is CSV: by its first line, a header row with ``arm`` or a key of YAML, else by its name."""
+    with suppress(OSError), path.open(encoding="utf-8-sig", errors="replace") as file:
+        first = next((line for line in map(str.strip, file) if line and not line.startswith(COMMENTS)), "")
+        if ":" in first or re.search(r"\barm\b", first):
+            return ":" not in first
+    return path.suffix.lower() == ".csv"
 
 
 def read_csv(path: Path, joints: Mapping[str, int]) -> TargetSource:
@@ -173,8 +192,7 @@ def _choices(stem: str) -> str:
 
 def _similar(name: str) -> str:
     known = [*_WORDS, *(f"{stem}_{unit}" for stem, of in _QUANTITIES.items() for unit in of.units), "approach1"]
-    near = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
-    return f" (is '{near[0]}' meant?)" if near else ""
+    return did_you_mean(name, known, " (is '{}' meant?)")
 
 
 def _check_complete(table: CsvTable, columns: Sequence[_Column], problems: Problems) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +13,9 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 
 from cellapp.cell.profile.loader import EXPONENT
 from cellapp.cell.profile.messages import KeyPath, dotted, short, value_message
+from cellapp.ground.counting import did_you_mean
 from cellapp.ground.errors import InputError
+from cellapp.ground.file_text import file_text
 
 _MOST_SHOWN = 5
 """Number of problems in one message; the others are only counted."""
@@ -95,8 +96,7 @@ def _sentence(
     words = value_message(details)
     if details["type"] == "extra_forbidden":
         known = known_keys(at)
-        near = difflib.get_close_matches(str(at[-1]), known, n=1)
-        words += f"; did you mean '{near[0]}'?" if near else f"; known here are {', '.join(known)}"
+        words += did_you_mean(str(at[-1]), known, otherwise=f"; known here are {', '.join(known)}")
     return ": ".join(filter(None, (label, key, words)))
 
 
@@ -143,7 +143,7 @@ _TargetLoader.add_implicit_resolver("tag:yaml.org,2002:float", EXPONENT, list("-
 
 def read_yaml(path: Path, what: str = "target list", forms: str = "YAML or CSV") -> TargetSource:
     """Read a file. Raise ``InputError`` with file and line if it is not YAML of plain values."""
-    text = _text(path, what, forms)
+    text = file_text(path, f"give a {what} ({forms})")
     try:
         _check_levels(path, text, what)
         loader = _TargetLoader(text)
@@ -160,17 +160,6 @@ def read_yaml(path: Path, what: str = "target list", forms: str = "YAML or CSV")
     except ValueError as error:  # a date such as 2026-99-99
         raise InputError(f"{path}: not YAML: {error}; put texts in quotes") from None
     return TargetSource(content, _places(path, root), dotted)
-
-
-def _text(path: Path, what: str, forms: str) -> str:
-    try:
-        return path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise InputError(f"{path}: cannot be read: file not found; give a {what} ({forms})") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); give a {what} ({forms})") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: not UTF-8 text; write the {what} as UTF-8 YAML") from None
 
 
 def _check_levels(path: Path, text: str, what: str) -> None:

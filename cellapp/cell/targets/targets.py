@@ -27,7 +27,7 @@ from pydantic import (
 from cellapp.cell.profile.messages import KeyPath, dotted, short
 from cellapp.cell.run.csv_text import is_frame, table_of_frame
 from cellapp.cell.targets.records import TargetRecord
-from cellapp.cell.targets.target_csv import read_csv, source_of_table
+from cellapp.cell.targets.target_csv import is_csv, read_csv, source_of_table
 from cellapp.cell.targets.target_source import TargetSource, checked, placed_error, read_yaml, refusal, sentences
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import CORRECTED
@@ -443,7 +443,7 @@ def _source(path: Path, joints: Mapping[str, int]) -> TargetSource:
     with contextlib.suppress(OSError), path.open("rb") as file:
         if CORRECTED.encode() in file.read(_HEAD):
             raise InputError(f"{path}: compensated commands, no targets: they are corrected. Give the target list")
-    if path.suffix.lower() == ".csv":
+    if is_csv(path):
         return read_csv(path, joints)
     source = read_yaml(path)
     name = source.content.get("targets") if isinstance(source.content, dict) else None

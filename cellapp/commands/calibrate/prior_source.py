@@ -116,7 +116,7 @@ def _believed(run: RunFile, stage: StoredStage, name: str, depth: int) -> tuple[
     """Return a run's belief about an arm, including its own earlier priors, and the number of readings."""
     readings = {arm: run.readings(arm) for arm in run.profile.arms}
     arm = ArmReadings.of_cell(run.profile, model_of(run, stage).arms, readings)[name]
-    record = _prior_of(run, name)
+    record = recorded_priors(run).get(name)
     if record is None:
         return believed(arm)
     if depth >= _MOST_EARLIER:
@@ -135,15 +135,6 @@ def open_recorded(run: RunFile, record: ArmPriorResult) -> RunFile:
             f"{run.folder} was calibrated with {record.run} as prior, which cannot be read ({error}); put it back,"
             " or calibrate again with --prior"
         ) from None
-
-
-def _prior_of(run: RunFile, name: str) -> ArmPriorResult | None:
-    """Return the record of the prior that an arm's calibration used; None if it used none."""
-    stage = read_stages(run).current.get(CALIBRATE)
-    if stage is None:
-        return None
-    result = CalibrateResult.from_json(stage.text, f"{run.path}: {CALIBRATE}")
-    return result.arms[name].prior if name in result.arms else None
 
 
 def basis_of_priors(earlier: Mapping[str, Earlier]) -> dict[str, PriorBasis]:
@@ -177,5 +168,8 @@ def earlier_of_calibration(run: RunFile) -> dict[str, Earlier]:
 
 def recorded_priors(run: RunFile) -> dict[str, ArmPriorResult]:
     """Return the record of the prior of every arm that used one."""
-    found = {name: _prior_of(run, name) for name in run.profile.arms}
-    return {name: record for name, record in found.items() if record is not None}
+    stage = read_stages(run).current.get(CALIBRATE)
+    if stage is None:
+        return {}
+    arms = CalibrateResult.from_json(stage.text, f"{run.path}: {CALIBRATE}").arms
+    return {name: prior for name in run.profile.arms if name in arms and (prior := arms[name].prior) is not None}

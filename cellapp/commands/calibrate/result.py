@@ -3,28 +3,17 @@
 from __future__ import annotations
 
 import math
-from typing import cast
 
 from cellapp.estimation.calibration.calibrate import ArmCalibration, CellCalibration
-from cellapp.estimation.calibration.network_training import NetForm, Training
-from cellapp.estimation.calibration.pair_calibration import PAIR_NAMES, PairCalibration, PairMethod
-from cellapp.estimation.calibration.quantities import summarise
 from cellapp.estimation.calibration.records import (
     ArmCalibrationResult,
     CalibrateResult,
-    NetworkResult,
-    NetworkTrial,
-    PairEstimate,
-    PairHeldOut,
-    PairMethodResult,
     ParameterEstimate,
     Scatter,
     largest_correlations,
     tied_estimates,
 )
-from cellapp.ground.results import Method
 from cellapp.robot.kinematics.chain import parameter_unit
-from cellapp.robot.kinematics.transforms import zyx_angles
 from cellapp.robot.model.nominal import FIXED_SD
 
 _SCATTER = "root of chi-square per degree of freedom against the stated uncertainty, or metres without one"
@@ -34,7 +23,7 @@ def calibrate_result(calibration: CellCalibration) -> CalibrateResult:
     """Build the object that ``calibrate --json`` writes and the run file stores."""
     return CalibrateResult(
         arms={name: arm_result(arm) for name, arm in calibration.arms.items()},
-        pair={} if calibration.pair is None else pair_result(calibration.pair),
+        pair={} if calibration.pair is None else calibration.pair.methods,
         notes=calibration.notes,
         provenance=calibration.provenance,
     )
@@ -82,72 +71,11 @@ def arm_result(arm: ArmCalibration) -> ArmCalibrationResult:
         tracker_mm=arm.tracker_mm,
         probe_mrad=arm.probe_mrad,
         repeatability_mm=arm.repeatability,
-        network=None if arm.training is None else _network(arm.training),
+        network=None if arm.training is None else arm.training.result,
         prior=arm.prior,
         left_out_configurations=arm.left_out,
         left_out_splits=arm.left_out_counts,
         validate_=arm.validate,
         clocks=arm.clocks,
         motion=arm.motion,
-    )
-
-
-def pair_result(pair: PairCalibration) -> dict[Method, PairMethodResult]:
-    """Build the results of the pair by method."""
-    return {name: _method(method, pair) for name, method in pair.methods.items()}
-
-
-def _network(training: Training) -> NetworkResult:
-    batches = training.batches
-    of_all = batches is not None and batches.used
-    return NetworkResult(
-        used=training.network is not None,
-        inputs="both" if of_all else training.shape.inputs,
-        hidden=batches.hidden if batches is not None and of_all else (training.shape.hidden,),
-        turning=training.shape.rotates_with_joint_1,
-        left_out_rms_mm=training.left_out_rms * 1e3,
-        without_rms_mm=training.without_rms * 1e3,
-        tried=tuple(_trial(shape, error) for shape, error in training.tried),
-        batches=batches,
-    )
-
-
-def _trial(shape: NetForm, left_out_rms_m: float) -> NetworkTrial:
-    return NetworkTrial(
-        inputs=shape.inputs,
-        hidden=(shape.hidden,),
-        turning=shape.rotates_with_joint_1,
-        left_out_rms_mm=left_out_rms_m * 1e3,
-    )
-
-
-def _method(method: PairMethod, pair: PairCalibration) -> PairMethodResult:
-    found, tracker = method.identification, method.T_R_L_tracker
-    by_tracker = [*tracker[:3, 3].tolist(), *zyx_angles(tracker[:3, :3])]
-    estimates = zip(PAIR_NAMES, found.values.tolist(), found.standard_errors.tolist(), by_tracker, strict=True)
-    summaries = {key: summarise(errors) for key, errors in method.errors.items()}
-    rotated = {key: summarise(angles) for key, angles in method.rotated.items()}
-    return PairMethodResult(
-        cooperative_mm=summaries[pair.chosen],
-        cooperative_mrad=rotated.get(pair.chosen),
-        transform=pair.chosen,
-        by_transform_mm=summaries,
-        by_transform_mrad=rotated or None,
-        identified={
-            name: PairEstimate(
-                value=value, standard_error=error, unit="m" if name in "xyz" else "rad", by_tracker=other
-            )
-            for name, value, error, other in estimates
-        },
-        iterations=found.iterations,
-        converged=True,  # else it was refused; earlier versions stored such a pair
-        splits=pair.counts,
-        held_out=PairHeldOut(
-            configuration=tuple(pair.stops.tolist()),
-            cooperative_mm=tuple(abs(error) * 1e3 for error in method.errors[pair.chosen].tolist()),
-            position_mm={
-                arm: tuple(error * 1e3 for error in cast("list[float]", errors.tolist()))
-                for arm, errors in method.position_errors.items()
-            },
-        ),
     )

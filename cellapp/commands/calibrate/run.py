@@ -39,7 +39,7 @@ def run(request: CalibrateRequest, work: Work) -> CalibrateResult:
 def calibrate_run(
     run: RunFile, job: JobToken = UNATTENDED, *, prior: Path | None = None, network: NetworkKind | None = None
 ) -> CalibrateResult:
-    """Calibrate a run: draw missing splits, identify, evaluate, append the stage, export the model in force.
+    """Calibrate a run: sample missing splits, identify, evaluate, append the stage, export the model in force.
 
     ``prior`` is the folder of an earlier run of the same arms, whose calibration serves as prior. ``network`` replaces
     the kind of network in the profile. The notes also say whether an earlier discovery and verification still hold.
@@ -112,7 +112,7 @@ def calibrate_cell(
 
 
 def sample_missing_splits(run: RunFile) -> tuple[str, ...]:
-    """Draw and store splits if no reading has one yet, the same for all arms at a stop; return notes."""
+    """Sample and store splits if no reading has one yet, the same for all arms at a stop; return notes."""
     counts = run.split_counts()
     recorded = {state.arm for state in recording_states(run)}
     for name in run.profile.arms:
@@ -125,7 +125,7 @@ def sample_missing_splits(run: RunFile) -> tuple[str, ...]:
     readings = {name: run.readings(name) for name in counts}
     sampled, notes = missing_splits(run.profile, readings)
     for name, words in sampled.items():
-        if name not in recorded:  # splits are drawn once: too few stops now must not bind those to come
+        if name not in recorded:  # splits are sampled once: too few stops now must not bind those to come
             refuse_too_few(name, replace(readings[name], split=words))
     for name, words in sampled.items():
         run.assign_splits(name, words)
@@ -133,12 +133,12 @@ def sample_missing_splits(run: RunFile) -> tuple[str, ...]:
 
 
 def _of_stops_to_come(run: RunFile) -> tuple[str, ...]:
-    """Say what becomes of planned stops that are measured after the splits are drawn."""
+    """Say what becomes of planned stops that are measured after the splits are sampled."""
     total = max(run.planned_counts().values(), default=0)
     seen = {*run.stops_done(), *(one.stop for one in run.outcomes()), *run.profile.plan.reserves(total)}
     more = len({*range(total)} - seen)
-    words = f"{counted(more, 'planned stop is', 'planned stops are')} not measured: splits are drawn once, so that"
-    return (f"{words} those measured later only train; to draw from all, collect them into a new run",) if more else ()
+    words = f"{counted(more, 'planned stop is', 'planned stops are')} not measured: splits are chosen once, so that"
+    return (f"{words} those measured later only train; to split all of them, collect into a new run",) if more else ()
 
 
 def note_later_stages(run: RunFile, stages: RunStages) -> list[str]:

@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from operator import itemgetter
+from typing import Any
 
 from cellapp.commands.calibrate.request import CalibrateRequest
 from cellapp.commands.record import Request, View
-from cellapp.commands.view.table import Cell, Interval, Table, columns_of
+from cellapp.commands.view.table import Cell, Field, Interval, Table, columns_of, table_of, with_rows
 from cellapp.commands.view.words import METHOD_WORDS, STAGE_WORDS, display_unit
 from cellapp.estimation.calibration.records import (
     ArmCalibrationResult,
     ArmPriorResult,
     BatchesResult,
     CalibrateResult,
-    ClockResult,
     PairMethodResult,
     ParameterEstimate,
     PartDrift,
 )
 from cellapp.ground.counting import counted
-from cellapp.ground.results import METHODS, STAGES, ErrorSummary
+from cellapp.ground.results import METHODS, STAGES
+from cellapp.ground.shell import shell_word
 from cellapp.robot.effects import EFFECTS
 from cellapp.robot.kinematics.chain import parameter_unit
 
@@ -33,19 +35,33 @@ PARAMETERS_ABOUT = (
     " A merged parameter keeps its nominal value: these data cannot separate it from others"
 )
 
-ERROR_COLUMNS = (*((title, MM) for title in ("mean", "rms", "std", "max")), ("n", "d"))
-_DETAILED = ("mean", "95 % of mean", "rms", "std", "median", "95 %", "max")
-_DETAILED_COLUMNS = (*((title, MM) for title in _DETAILED), ("n", "d"))
-_PAIRS = "between arms"
+_STATISTICS: Mapping[str, Field] = {
+    name: (name, source, number_format)
+    for name, source, number_format in (
+        ("mean", lambda row: row[1].mean, MM),
+        ("95 % of mean", lambda row: row[1].mean_ci95 and Interval(*row[1].mean_ci95), MM),
+        ("rms", lambda row: row[1].rms, MM),
+        ("std", lambda row: row[1].std, MM),
+        ("median", lambda row: row[1].p50, MM),
+        ("95 %", lambda row: row[1].p95, MM),
+        ("max", lambda row: row[1].max, MM),
+        ("n", lambda row: row[1].n, "d"),
+        ("rms / tracker", lambda row: row[1].rms / row[2] if row[2] else None, ".1f"),
+    )
+}
+"""Columns of rows (label, errors, rms error that the tracker's stated uncertainty alone would cause)."""
+_SHORT = ("mean", "rms", "std", "max", "n")
+_DETAILED = ("mean", "95 % of mean", "rms", "std", "median", "95 %", "max", "n")
 _ROTATION = "orientation [mrad]"
 _PAIR_TITLE = "Pair: held-out cooperative errors [mm]"
 
 
 def view(result: CalibrateResult, request: Request | None = None) -> View:
-    """Show held-out errors, the parameters on request, and the tracker's own uncertainty beside them."""
-    parameters = isinstance(request, CalibrateRequest) and request.parameters
-    shown = parameters_view(result).parts if parameters else ()
-    return View((*calibration_tables(result), *shown, *tracker_sentences(result), *result.notes))
+    """Show held-out errors, parameters on request, beside them the tracker's own uncertainty, and what comes next."""
+    asked = request if isinstance(request, CalibrateRequest) else None
+    shown = parameters_view(result).parts if asked and asked.parameters else ()
+    onward = [f"next: cellapp discover {shell_word(asked.folder)}"] if asked else []
+    return View((*calibration_tables(result), *shown, *tracker_sentences(result), *result.notes, *onward))
 
 
 def parameters_view(result: CalibrateResult) -> View:
@@ -55,19 +71,22 @@ def parameters_view(result: CalibrateResult) -> View:
 
 def calibration_tables(result: CalibrateResult) -> list[Table]:
     """Show held-out errors by stage of each arm and by method of the pair, further tables, priors and changes."""
-    tables = []
-    for name, arm in result.arms.items():
-        rows = [(label, *error_cells(summary)) for label, _, summary in _stage_summaries(arm)]
-        tables.append(Table(_arm_title(name, arm), columns_of("stage, measure", *ERROR_COLUMNS), tuple(rows)))
-    if result.pair:
-        rows = [(label, *error_cells(errors)) for label, _, errors in _pair_summaries(result)]
-        tables.append(Table(_PAIR_TITLE, columns_of("method", *ERROR_COLUMNS), tuple(rows)))
-    return [*tables, *_tables_of_kinds(result)]
+    return _error_tables(result, {stage: stage for stage in STAGES}, _SHORT)
 
 
-def _tables_of_kinds(result: CalibrateResult) -> list[Table]:
-    """Show results from recordings of motion, and the priors."""
-    return [*motion_tables(result), *prior_tables(result)]
+def error_table(title: str, what: str, rows: Iterable[Sequence[Any]], shown: Sequence[str] = _SHORT) -> Table:
+    """Show statistics of errors; a row is (label, errors, noise), the noise only where the table has their ratio."""
+    return table_of(title, rows, (what, itemgetter(0)), *(_STATISTICS[name] for name in shown))
+
+
+def _error_tables(result: CalibrateResult, words: Mapping[str, str], shown: Sequence[str]) -> list[Table]:
+    """Show errors of arms and pair, then results from recordings of motion, and the priors."""
+    arms = (
+        error_table(_arm_title(name, arm), "stage, measure", _stage_errors(arm, words), shown)
+        for name, arm in result.arms.items()
+    )
+    pair = error_table(_PAIR_TITLE, "method", _pair_errors(result), shown)
+    return [*arms, *with_rows(pair), *motion_tables(result), *prior_tables(result)]
 
 
 def detailed_tables(result: CalibrateResult) -> list[Table]:
@@ -76,23 +95,7 @@ def detailed_tables(result: CalibrateResult) -> list[Table]:
 
     The ratio is the rms error over the rms error that the tracker's stated uncertainty alone would cause.
     """
-    columns = (*_DETAILED_COLUMNS, ("rms / tracker", ".1f"))
-    tables = []
-    for name, arm in result.arms.items():
-        noise_mm = {"position": arm.tracker_mm or None, "distance": distance_mm(arm.tracker_mm, arm.tracker_mm)}
-        rows = [
-            (_in_full(label), *_detailed_cells(summary), _ratio(summary, noise_mm.get(measure)))
-            for label, measure, summary in _stage_summaries(arm)
-        ]
-        tables.append(Table(_arm_title(name, arm), columns_of("stage, measure", *columns), tuple(rows)))
-    if result.pair:
-        noise = {"distance": cooperative_noise_mm(result), "orientation": cooperative_noise_mrad(result)}
-        rows = [
-            (label, *_detailed_cells(errors), _ratio(errors, noise[measure]))
-            for label, measure, errors in _pair_summaries(result)
-        ]
-        tables.append(Table(_PAIR_TITLE, columns_of("method", *columns), tuple(rows)))
-    return [*tables, *_tables_of_kinds(result)]
+    return _error_tables(result, STAGE_WORDS, (*_DETAILED, "rms / tracker"))
 
 
 def transform_tables(result: CalibrateResult) -> list[Table]:
@@ -104,13 +107,11 @@ def transform_tables(result: CalibrateResult) -> list[Table]:
         rotated = own.by_transform_mrad or {}
         for transform, summary in own.by_transform_mm.items():
             label = f"{METHOD_WORDS[method]}, by {transform_words(transform, own)}"
-            rows.append((label, *_detailed_cells(summary)))
+            rows.append((label, summary))
             if transform in rotated:
-                rows.append((f"{label}, {_ROTATION}", *_detailed_cells(rotated[transform])))
-    if not rows:
-        return []
-    columns = columns_of("method, transform", *_DETAILED_COLUMNS)
-    return [Table("Pair: cooperative errors by either transform [mm]", columns, tuple(rows))]
+                rows.append((f"{label}, {_ROTATION}", rotated[transform]))
+    title = "Pair: cooperative errors by either transform [mm]"
+    return with_rows(error_table(title, "method, transform", rows, _DETAILED))
 
 
 def transform_words(transform: str, method: PairMethodResult) -> str:
@@ -203,49 +204,24 @@ def _arm_title(name: str, arm: ArmCalibrationResult) -> str:
     )
 
 
-def _stage_summaries(arm: ArmCalibrationResult) -> list[tuple[str, str, ErrorSummary]]:
-    """Return the label, measure (position, orientation or distance) and errors of each stage."""
-    found = []
+def _stage_errors(arm: ArmCalibrationResult, words: Mapping[str, str]) -> Iterator[tuple[Any, ...]]:
+    """Yield what is measured after each stage, its errors, and the noise to compare with."""
     for stage in STAGES:
-        if stage in arm.validate_:
-            errors = arm.validate_[stage]
-            found.append((f"{stage}, position", "position", errors.position_mm))
+        if (errors := arm.validate_.get(stage)) is not None:
+            yield f"{words[stage]}, position", errors.position_mm, arm.tracker_mm
             if errors.orientation_mrad is not None:
-                found.append((f"{stage}, {_ROTATION}", "orientation", errors.orientation_mrad))
+                yield f"{words[stage]}, {_ROTATION}", errors.orientation_mrad, None
             if errors.distance_mm is not None:
-                found.append((f"{stage}, distance", "distance", errors.distance_mm))
-    return found
+                yield f"{words[stage]}, distance", errors.distance_mm, distance_mm(arm.tracker_mm, arm.tracker_mm)
 
 
-def _in_full(label: str) -> str:
-    """Return the label of a stage's measure as charts and sentences name it."""
-    stage, _, measure = label.partition(", ")
-    return f"{STAGE_WORDS[stage]}, {measure}"
-
-
-def _pair_summaries(result: CalibrateResult) -> list[tuple[str, str, ErrorSummary]]:
-    """Return the label, measure (distance or orientation) and errors of each method of the pair."""
-    found = []
+def _pair_errors(result: CalibrateResult) -> Iterator[tuple[Any, ...]]:
+    """Yield what is measured of the pair by each method, its errors, and the noise to compare with."""
     for method in METHODS:
         if (own := result.pair.get(method)) is not None:
-            found.append((METHOD_WORDS[method], "distance", own.cooperative_mm))
+            yield METHOD_WORDS[method], own.cooperative_mm, cooperative_noise_mm(result)
             if own.cooperative_mrad is not None:
-                found.append((f"{METHOD_WORDS[method]}, {_ROTATION}", "orientation", own.cooperative_mrad))
-    return found
-
-
-def error_cells(summary: ErrorSummary) -> tuple[Cell, ...]:
-    """Return the cells of ``ERROR_COLUMNS``."""
-    return summary.mean, summary.rms, summary.std, summary.max, summary.n
-
-
-def _detailed_cells(summary: ErrorSummary) -> tuple[Cell, ...]:
-    interval = None if summary.mean_ci95 is None else Interval(*summary.mean_ci95)
-    return summary.mean, interval, summary.rms, summary.std, summary.p50, summary.p95, summary.max, summary.n
-
-
-def _ratio(summary: ErrorSummary, noise_mm: float | None) -> float | None:
-    return None if noise_mm is None else summary.rms / noise_mm
+                yield f"{METHOD_WORDS[method]}, {_ROTATION}", own.cooperative_mrad, cooperative_noise_mrad(result)
 
 
 # -- Tables of an earlier calibration used as prior: how far it was believed, and what has changed since --------------
@@ -253,13 +229,10 @@ def _ratio(summary: ErrorSummary, noise_mm: float | None) -> float | None:
 
 def prior_tables(result: CalibrateResult) -> list[Table]:
     """Show parts and changes of every arm that was calibrated with a prior; none without one."""
-    tables = []
-    for name, arm in result.arms.items():
-        if arm.prior is not None:
-            tables.append(_part_table(name, arm.prior))
-            if arm.prior.changes:
-                tables.append(_change_table(name, arm.prior))
-    return tables
+    priors = ((name, arm.prior) for name, arm in result.arms.items() if arm.prior is not None)
+    return with_rows(
+        *(table for name, prior in priors for table in (_part_table(name, prior), _change_table(name, prior)))
+    )
 
 
 def prior_sentences(result: CalibrateResult) -> list[str]:
@@ -298,72 +271,76 @@ def _drift(one: PartDrift) -> tuple[Cell, Cell]:
 
 
 def _change_table(name: str, prior: ArmPriorResult) -> Table:
-    columns = columns_of(
-        "what",
-        ("change", "+.3f"),
-        ("standard error", ".3f"),
-        "unit",
-        ("sigmas", ".1f"),
-        ("evidence", ".0f"),
-        ("at the SMR", ".3f", "mm"),
-        "as likely",
+    def scaled(one: Any, key: str) -> float | None:
+        value: float | None = getattr(one, key)
+        return None if value is None else value * (display_unit(one.unit)[0] if one.unit else 1.0)
+
+    return table_of(
+        f"Arm {name}: changed since {prior.since}",
+        prior.changes,
+        ("what", "what"),
+        ("change", lambda one: scaled(one, "value"), "+.3f"),
+        ("standard error", lambda one: scaled(one, "standard_error"), ".3f"),
+        ("unit", lambda one: display_unit(one.unit)[1] if one.unit else ""),
+        ("sigmas", "sigmas", ".1f"),
+        ("evidence", "evidence", ".0f"),
+        ("at the SMR", "moved_mm", ".3f", "mm"),
+        ("as likely", lambda one: ", ".join(one.rivals)),
     )
-    rows: list[tuple[Cell, ...]] = []
-    for one in prior.changes:
-        factor, unit = display_unit(one.unit) if one.unit else (1.0, "")
-        scaled = (None if value is None else value * factor for value in (one.value, one.standard_error))
-        likely = ", ".join(one.rivals)
-        rows.append((one.what, *scaled, unit, one.sigmas, one.evidence, one.moved_mm, likely))
-    return Table(f"Arm {name}: changed since {prior.since}", columns, tuple(rows))
 
 
 # -- Results of recordings of motion for people: clocks, weight of the points, lost motion, what is not determined ----
 
 
-_CLOCKS = columns_of(
-    "arm",
-    "recording",
-    ("offset [s]", ".6f"),
-    ("standard error [ms]", ".4f"),
-    ("rate [ppm]", ".3f"),
-    ("standard error [ppm]", ".3f"),
-    ("clock steps", "d"),
-)
-_RECORDINGS = columns_of(
-    "arm",
-    "recording",
-    ("points", "d"),
-    ("learnt", "d"),
-    ("worth", ".0f"),
-    ("held out", "d"),
-    ("gross", "d"),
-    ("in gaps", "d"),
-    ("scatter [mm]", ".4f"),
-    ("held-out rms [mm]", ".4f"),
-)
-_PLAY = columns_of("arm", "joint", ("half play [urad]", ".1f"), ("standard error [urad]", ".1f"))
 _SURE = 2.0
 """Lost motion is shown as found from this many standard errors on."""
 
 
 def motion_tables(result: CalibrateResult) -> list[Table]:
     """Show clocks, recordings and lost motion of all recorded arms; none without recordings."""
-    moved = {name: arm for name, arm in result.arms.items() if arm.motion is not None}
-    if not moved:
-        return []
-    clocks: list[tuple[Cell, ...]] = []
-    recordings: list[tuple[Cell, ...]] = []
-    for name, arm in moved.items():
-        clocks += [(name, recording, *_clock(clock)) for recording, clock in (arm.clocks or {}).items()]
-        for recording, one in arm.motion.recordings.items() if arm.motion else ():
-            counts = (one.points, one.learnt, one.effective_points, one.held_out, one.gross, one.in_gaps)
-            recordings.append((name, recording, *counts, one.scatter_mm, one.heldout_rms_mm))
-    return [
-        Table("Clocks: the tracker's against the controller's", _CLOCKS, tuple(clocks)),
-        Table("Recordings: what their points are worth as independent ones", _RECORDINGS, tuple(recordings)),
-        *_in_motion(moved),
-        *_play(moved),
-    ]
+    moved = {name: arm.motion for name, arm in result.arms.items() if arm.motion is not None}
+    named = (("arm", itemgetter(0)), ("recording", itemgetter(1)))
+    clocks = table_of(
+        "Clocks: the tracker's against the controller's",
+        [(name, recording, its) for name in moved for recording, its in (result.arms[name].clocks or {}).items()],
+        *named,
+        ("offset [s]", lambda row: row[2].offset_s, ".6f"),
+        ("standard error [ms]", lambda row: row[2].offset_standard_error_s * 1e3, ".4f"),
+        ("rate [ppm]", lambda row: row[2].rate_ppm, ".3f"),
+        ("standard error [ppm]", lambda row: row[2].rate_standard_error_ppm, ".3f"),
+        ("clock steps", lambda row: len(row[2].steps_of_joints) + len(row[2].steps_of_points), "d"),
+    )
+    recordings = table_of(
+        "Recordings: what their points are worth as independent ones",
+        [(name, recording, its) for name, motion in moved.items() for recording, its in motion.recordings.items()],
+        *named,
+        ("points", lambda row: row[2].points, "d"),
+        ("learnt", lambda row: row[2].learnt, "d"),
+        ("worth", lambda row: row[2].effective_points, ".0f"),
+        ("held out", lambda row: row[2].held_out, "d"),
+        ("gross", lambda row: row[2].gross, "d"),
+        ("in gaps", lambda row: row[2].in_gaps, "d"),
+        ("scatter [mm]", lambda row: row[2].scatter_mm, ".4f"),
+        ("held-out rms [mm]", lambda row: row[2].heldout_rms_mm, ".4f"),
+    )
+    of_blocks = {name: its.validate_ for name, its in moved.items() if result.arms[name].validate_ != its.validate_}
+    in_motion = table_of(
+        "In motion: errors of held-out blocks of time [mm]",
+        [(name, errors.position_mm, stage) for name, its in of_blocks.items() for stage, errors in its.items()],
+        ("arm", itemgetter(0)),
+        ("stage", itemgetter(2)),
+        *(_STATISTICS[name] for name in _SHORT),
+    )
+    plays = ((name, joint, its) for name, motion in moved.items() for joint, its in motion.half_play.items())
+    lost = table_of(
+        "Lost motion",
+        [row for row in plays if row[2].value > _SURE * (row[2].standard_error or 0.0)],
+        ("arm", itemgetter(0)),
+        ("joint", itemgetter(1)),
+        ("half play [urad]", lambda row: row[2].value * 1e6, ".1f"),
+        ("standard error [urad]", lambda row: (row[2].standard_error or 0.0) * 1e6, ".1f"),
+    )
+    return with_rows(clocks, recordings, in_motion, lost)
 
 
 def motion_sentences(result: CalibrateResult) -> list[str]:
@@ -379,35 +356,6 @@ def motion_sentences(result: CalibrateResult) -> list[str]:
         if arm.motion is not None:
             said += [f"arm {name}: not determined: {sentence}" for sentence in arm.motion.undetermined]
     return said
-
-
-def _clock(clock: ClockResult) -> tuple[Cell, ...]:
-    steps = len(clock.steps_of_joints) + len(clock.steps_of_points)
-    errors = clock.offset_standard_error_s * 1e3, clock.rate_standard_error_ppm
-    return clock.offset_s, errors[0], clock.rate_ppm, errors[1], steps
-
-
-def _in_motion(moved: dict[str, ArmCalibrationResult]) -> list[Table]:
-    """Show errors of held-out blocks of motion, for arms whose held-out errors are those of stops."""
-    rows: list[tuple[Cell, ...]] = []
-    for name, arm in moved.items():
-        if arm.motion is not None and arm.validate_ != arm.motion.validate_:
-            for stage, errors in arm.motion.validate_.items():
-                its = errors.position_mm
-                rows.append((name, stage, its.mean, its.rms, its.std, its.max, its.n))
-    columns = columns_of("arm", "stage", *((title, ".4f") for title in ("mean", "rms", "std", "max")), ("n", "d"))
-    return [Table("In motion: errors of held-out blocks of time [mm]", columns, tuple(rows))] if rows else []
-
-
-def _play(moved: dict[str, ArmCalibrationResult]) -> list[Table]:
-    """Show the joints whose lost motion is larger than chance would give."""
-    rows: list[tuple[Cell, ...]] = []
-    for name, arm in moved.items():
-        for joint, found in arm.motion.half_play.items() if arm.motion else ():
-            error = found.standard_error or 0.0
-            if found.value > _SURE * error:
-                rows.append((name, joint, found.value * 1e6, error * 1e6))
-    return [Table("Lost motion", _PLAY, tuple(rows))] if rows else []
 
 
 # -- Comparison of a network from all readings with the committee, in words -------------------------------------------

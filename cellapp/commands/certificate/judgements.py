@@ -22,7 +22,6 @@ import scipy
 
 from cellapp.cell.targets.records import MeasuredPair, MeasuredTarget, VerifyResult
 from cellapp.commands.run_results import RunResults, evidence_of
-from cellapp.estimation.calibration.records import PairMethodResult
 from cellapp.estimation.iso9283.norm import (
     ISO_COMMANDS,
     NORM_CYCLES,
@@ -47,7 +46,7 @@ from cellapp.ground.counting import counted
 from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Tolerances
-from cellapp.ground.results import BEST_METHODS, CALIBRATE, ISO9283, VERIFY, ErrorSummary, StageName
+from cellapp.ground.results import CALIBRATE, ISO9283, VERIFY, ErrorSummary, StageName, best_method
 
 Budget = Sequence[UncertaintyContribution]
 
@@ -93,20 +92,18 @@ def judge_run(
 
 
 def _position(results: RunResults, arm: str, budget: Budget) -> _Measured:
-    verify = held_verification(results)
-    targets = [] if verify is None else [one for one in verify.targets if one.arm == arm]
+    verify, targets = results.verified, results.verified.of_arm(arm)
     errors = [one.final_mm for one in targets if one.final_mm is not None]
-    if verify is None or not errors:
+    if not errors:
         return _Measured("position", arm, (), _unverified(results, "position", _held_out(results, arm, "position_mm")))
     return _Measured("position", arm, errors, _verified(verify, len(errors), len(targets), "targets"), budget)
 
 
 def _distance(results: RunResults, arm: str, budget: Budget) -> _Measured:
     """Collect all pairs of verified targets with compensated commands; a corrected target has no measured position."""
-    verify = held_verification(results)
-    targets = [] if verify is None else [one for one in verify.targets if one.arm == arm]
+    verify, targets = results.verified, results.verified.of_arm(arm)
     errors = _distance_errors_mm(targets)
-    if verify is None or not len(errors):
+    if not errors:
         return _Measured("distance", arm, (), _unverified(results, "distance", _held_out(results, arm, "distance_mm")))
     points = sum(one.measured_M is not None for one in targets)
     source = f"{_verified(verify, points, len(targets), 'targets')}, {counted(len(errors), 'distance')} between them"
@@ -115,16 +112,15 @@ def _distance(results: RunResults, arm: str, budget: Budget) -> _Measured:
 
 def _cooperative(tolerances: Tolerances, results: RunResults, budgets: Mapping[str, Budget]) -> list[_Measured]:
     """Collect each pair of arms with verified cooperative targets; also the only pair of a cell without any."""
-    verify = held_verification(results)
-    pairs = () if verify is None else verify.pairs
-    found = grouped((pair.arms, pair.final_mm) for pair in pairs if pair.final_mm is not None)
-    if verify is not None and found:
+    verify = results.verified
+    found = grouped((pair.arms, pair.final_mm) for pair in verify.pairs if pair.final_mm is not None)
+    if found:
         return [
             _Measured(
                 "cooperative",
                 _both(arms),
                 errors,
-                _verified(verify, len(errors), sum(one.arms == arms for one in pairs), "pairs of targets"),
+                _verified(verify, len(errors), sum(one.arms == arms for one in verify.pairs), "pairs of targets"),
                 [one for arm in arms for one in budgets[arm]],
             )
             for arms, errors in found.items()
@@ -132,15 +128,9 @@ def _cooperative(tolerances: Tolerances, results: RunResults, budgets: Mapping[s
     tested = any(one.characteristic == "cooperative" for one in _held_iso(tolerances, results))
     if len(budgets) != 2 or tested:
         return []
-    best = _best_pair(results)
-    held_out = None if best is None else best.cooperative_mm
+    best = best_method(results.pair)
+    held_out = None if best is None else results.pair[best].cooperative_mm
     return [_Measured("cooperative", _both(list(budgets)), (), _unverified(results, "cooperative", held_out))]
-
-
-def _best_pair(results: RunResults) -> PairMethodResult | None:
-    calibrate = results.held.calibrate
-    computed = {} if calibrate is None else calibrate.pair
-    return next((computed[method] for method in BEST_METHODS if method in computed), None)
 
 
 def _orientations(profile: Profile, results: RunResults) -> Iterator[Judgement]:
@@ -148,15 +138,13 @@ def _orientations(profile: Profile, results: RunResults) -> Iterator[Judgement]:
 
     Then that of one flange in the other's frame.
     """
-    verify = held_verification(results)
+    verify = results.verified
     probed = [name for name, arm in profile.arms.items() if arm.smr.probe is not None]
     for arm in probed or profile.arms:
-        targets = [] if verify is None else [one for one in verify.targets if one.arm == arm]
-        yield from _rotated(profile, results, "orientation", (arm,), targets, arm in probed)
+        yield from _rotated(profile, results, "orientation", (arm,), verify.of_arm(arm), arm in probed)
     if len(profile.arms) == 2:
-        pairs = () if verify is None else verify.pairs
         names = tuple(profile.arms)
-        yield from _rotated(profile, results, "cooperative_orientation", names, pairs, len(probed) == 2)
+        yield from _rotated(profile, results, "cooperative_orientation", names, verify.pairs, len(probed) == 2)
 
 
 def _rotated(
@@ -172,10 +160,10 @@ def _rotated(
     if limit is None:
         return
     angles = [its.final_mrad for one in measured if (its := one.orientation) and its.final_mrad is not None]
-    verify, value = held_verification(results), max(angles, default=None)
-    if verify is not None and angles:
+    value = max(angles, default=None)
+    if angles:
         what = "targets" if len(arms) == 1 else "pairs of targets"
-        source = _verified(verify, len(angles), len(measured), what)
+        source = _verified(results.verified, len(angles), len(measured), what)
     elif probed:
         source = _unverified(results, characteristic, _held_out_rotations(results, arms), "mrad")
     else:
@@ -201,9 +189,7 @@ def _rotated(
 def orientation_budget(profile: Profile, results: RunResults, arm: str) -> tuple[AngleContribution, ...]:
     """Return the contributions to an arm's uncertainty of orientation, at the command with the model's largest one;
     empty if no orientation was predicted."""
-    compensate = results.held.compensate
-    commands = () if compensate is None else compensate.targets
-    rotations = [one.orientation for one in commands if one.arm == arm and one.orientation is not None]
+    rotations = [one.orientation for one in results.commands if one.arm == arm and one.orientation is not None]
     if not rotations:
         return ()
     worst = max(rotations, key=lambda one: one.model_mrad)
@@ -267,12 +253,6 @@ def _held_iso(tolerances: Tolerances, results: RunResults) -> tuple[Judgement, .
     return judge_characteristics(tolerances, stored.arms, stored.pairs, cycles)
 
 
-def held_verification(results: RunResults) -> VerifyResult | None:
-    """Return the newest verification; None if it no longer holds or measured no target."""
-    verify = results.held.verify
-    return None if verify is None or not verify.arms else verify
-
-
 def other_arms_found(results: RunResults) -> str:
     """State the change of arms that the last check found, if it still holds; empty if none."""
     checked = results.held.check
@@ -322,8 +302,8 @@ def _held_out_rotations(results: RunResults, arms: Sequence[str]) -> ErrorSummar
     """Return the held-out errors of orientation [mrad] of an arm, or of one flange in the other's frame."""
     if len(arms) == 1:
         return _held_out(results, arms[0], "orientation_mrad")
-    best = _best_pair(results)
-    return None if best is None else best.cooperative_mrad
+    best = best_method(results.pair)
+    return None if best is None else results.pair[best].cooperative_mrad
 
 
 def _distance_errors_mm(targets: Sequence[MeasuredTarget]) -> list[float]:

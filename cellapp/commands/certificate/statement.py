@@ -8,7 +8,7 @@ from datetime import date
 
 from cellapp.cell.run.run_arms import ControllerIdentity
 from cellapp.cell.targets.records import ArmVerification, VerifyResult
-from cellapp.commands.certificate.judgements import found_in, held_verification, judge_run, orientation_budget
+from cellapp.commands.certificate.judgements import found_in, judge_run, orientation_budget
 from cellapp.commands.certificate_result import (
     SIMULATED,
     CertificateResult,
@@ -19,6 +19,7 @@ from cellapp.commands.certificate_result import (
     CertifiedTarget,
     CertifiedTests,
 )
+from cellapp.commands.compensate.words import unknown_conditions
 from cellapp.commands.run_results import RunResults, evidence_of
 from cellapp.estimation.iso9283.records import CommandedTests, IsoValue
 from cellapp.estimation.uncertainty.budget import (
@@ -33,7 +34,7 @@ from cellapp.ground.counting import counted
 from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Instrument
-from cellapp.ground.results import BEST_METHODS, CERTIFICATE, VERIFY, day_of
+from cellapp.ground.results import CERTIFICATE, VERIFY, Record, best_method, day_of
 
 _METHOD = (
     "Each target is driven with the command of the published geometry and with the compensated one. While the arm"
@@ -96,9 +97,9 @@ def certificate_of(given: CertificateInput) -> CertificateResult:
         judgements=judge_run(profile, results, given.conditions),
         contributions=tuple(lines),
         orientation_contributions=tuple(line for lines in rotations.values() for line in lines) or None,
-        targets=_targets(held_verification(results)),
+        targets=_targets(results.verified),
         iso9283=_tests(results),
-        limits=tuple(_limits(results, held_verification(results))),
+        limits=tuple(_limits(results, results.verified)),
         missing=missing_data(profile, instruments, arms, given.conditions, given.measured, lines),
         warnings=(
             *([f"{SIMULATED}: no real arm and no real tracker was measured"] if profile.is_simulated else []),
@@ -133,46 +134,36 @@ def _arm(
 
 
 def _errors(results: RunResults, arm: str) -> CertifiedErrors:
-    verify, calibrate = held_verification(results), results.held.calibrate
+    calibrate = results.held.calibrate
     calibrated = None if calibrate is None else calibrate.arms.get(arm)
     predicted = {} if calibrated is None else calibrated.validate_
-    return _measured(None if verify is None else verify.arms.get(arm)).model_copy(
-        update={
-            "predicted_found": predicted["nominal"].position_mm if "nominal" in predicted else None,
-            "predicted_left": None if calibrated is None else predicted[calibrated.best_stage].position_mm,
-            "predicted_found_mrad": predicted["nominal"].orientation_mrad if "nominal" in predicted else None,
-            "predicted_left_mrad": None if calibrated is None else predicted[calibrated.best_stage].orientation_mrad,
-        }
-    )
+    best = None if calibrated is None else predicted[calibrated.best_stage]
+    own = results.verified.arms.get(arm)
+    return _found_and_left(own, predicted.get("nominal"), best, "position_mm", "orientation_mrad")
 
 
 def _pair(results: RunResults) -> CertifiedErrors:
-    verify, calibrate = held_verification(results), results.held.calibrate
-    predicted = {} if calibrate is None else calibrate.pair
-    best = next((predicted[method] for method in BEST_METHODS if method in predicted), None)
-    nominal = predicted.get("nominal")
-    return _measured(None if verify is None else verify.cooperative).model_copy(
-        update={
-            "predicted_found": None if nominal is None else nominal.cooperative_mm,
-            "predicted_left": None if best is None else best.cooperative_mm,
-            "predicted_found_mrad": None if nominal is None else nominal.cooperative_mrad,
-            "predicted_left_mrad": None if best is None else best.cooperative_mrad,
-        }
-    )
+    best, nominal = (results.pair.get(method) for method in (best_method(results.pair) or "nominal", "nominal"))
+    return _found_and_left(results.verified.cooperative, nominal, best, "cooperative_mm", "cooperative_mrad")
 
 
-def _measured(verified: ArmVerification | None) -> CertifiedErrors:
-    if verified is None:
-        return CertifiedErrors()
+def _found_and_left(
+    verified: ArmVerification | None, nominal: Record | None, best: Record | None, mm: str, mrad: str
+) -> CertifiedErrors:
+    """Return what was verified, and what ``nominal`` and ``best`` predict in their fields ``mm`` and ``mrad``."""
     return CertifiedErrors(
-        found=verified.nominal_mm,
-        left=verified.corrected_mm or verified.compensated_mm,
-        found_mrad=verified.nominal_mrad,
-        left_mrad=verified.compensated_mrad,
+        found=getattr(verified, "nominal_mm", None),
+        left=getattr(verified, "corrected_mm", None) or getattr(verified, "compensated_mm", None),
+        found_mrad=getattr(verified, "nominal_mrad", None),
+        left_mrad=getattr(verified, "compensated_mrad", None),
+        predicted_found=getattr(nominal, mm, None),
+        predicted_left=getattr(best, mm, None),
+        predicted_found_mrad=getattr(nominal, mrad, None),
+        predicted_left_mrad=getattr(best, mrad, None),
     )
 
 
-def _targets(verify: VerifyResult | None) -> tuple[CertifiedTarget, ...]:
+def _targets(verify: VerifyResult) -> tuple[CertifiedTarget, ...]:
     return tuple(
         CertifiedTarget(
             name=one.name,
@@ -183,7 +174,7 @@ def _targets(verify: VerifyResult | None) -> tuple[CertifiedTarget, ...]:
             found_mrad=None if one.orientation is None else one.orientation.nominal_mrad,
             left_mrad=None if one.orientation is None else one.orientation.final_mrad,
         )
-        for one in (() if verify is None else verify.targets)
+        for one in verify.targets
     )
 
 
@@ -219,8 +210,8 @@ def _unverified(profile: Profile, results: RunResults) -> list[str]:
     if VERIFY in results.out_of_date:
         why = results.out_of_date[VERIFY]
         return [f"not verified: the verification is out of date ({why}); its figures are left out"]
-    verify = held_verification(results)
-    if verify is None:
+    verify = results.verified
+    if not verify.arms:
         return ["not verified: no compensated target was measured; the figures are predictions"]
     return [
         *([f"the verification is not complete: {verify.stopped}"] if verify.stopped else []),
@@ -228,16 +219,16 @@ def _unverified(profile: Profile, results: RunResults) -> list[str]:
     ]
 
 
-def _limits(results: RunResults, verify: VerifyResult | None) -> list[str]:
+def _limits(results: RunResults, verify: VerifyResult) -> list[str]:
     """Say for what the as-left figures hold, and what they do not cover."""
-    if verify is None:
+    if not verify.arms:
         return []
     sentences = [
         "The as-left figures are of the verified targets; payload and temperatures are those of the calibration's"
         " readings."
     ]
     for arm in dict.fromkeys(target.arm for target in verify.targets):
-        own = [target for target in verify.targets if target.arm == arm]
+        own = verify.of_arm(arm)
         sentences += _not_measured(arm, [target.name for target in own if target.final_mm is None], len(own))
         corrected = sum(target.corrected_mm is not None for target in own)
         if corrected:
@@ -261,18 +252,10 @@ def _not_measured(arm: str, names: Sequence[str], count: int) -> list[str]:
 
 def _conditions(results: RunResults, arm: str) -> list[str]:
     """State the working conditions of the commands, and by how much other conditions move the SMR."""
-    if (compensate := results.held.compensate) is None:
-        return []
-    largest: dict[str, float] = {}
-    effects: dict[str, list[str]] = {}
-    for command in compensate.targets:
-        for one in command.unknown if command.arm == arm else ():
-            largest[one.condition] = max(one.mm, largest.get(one.condition, 0.0))
-            effects[one.condition] = [*effects.get(one.condition, []), *one.effects]
     return [
-        f"Arm {arm}: verified with the {condition} that the commands are made for; with another one the SMR may be"
-        f" elsewhere by up to {mm:.3f} mm ({', '.join(dict.fromkeys(effects[condition])).replace('_', ' ')})."
-        for condition, mm in largest.items()
+        f"Arm {arm}: verified with the {one.condition} that the commands are made for; with another one the SMR may be"
+        f" elsewhere by up to {one.mm:.3f} mm ({', '.join(one.effects).replace('_', ' ')})."
+        for one in unknown_conditions([command for command in results.commands if command.arm == arm])
     ]
 
 

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
 from cellapp.cell.driving.cell_checks import noting_controllers
 from cellapp.cell.driving.locate import LocatedStation, LocateTask, locate_station
 from cellapp.cell.driving.requests import running_job
-from cellapp.cell.driving.supervision import Opened
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.recordings import known_readings
 from cellapp.commands.check.location import LocatedPoint, LocateResult, StationPose
@@ -19,7 +17,7 @@ from cellapp.commands.check.station import excess_of_readings, last_location, pr
 from cellapp.commands.confirm import confirmation
 from cellapp.commands.record import Work
 from cellapp.commands.stages import CALIBRATION_FILE, RunStages, StoredStage, append_stage, basis_on_model, read_stages
-from cellapp.commands.stored_model import arms_stage, model_of
+from cellapp.commands.stored_model import append_with_model, arms_stage, model_of
 from cellapp.estimation.calibration.station_location import displacement_m
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Pose, Profile
@@ -40,13 +38,12 @@ def locate_run(
     *,
     tracker_pose: Pose | None = None,
     simulated_pose: Pose | None = None,
-    open_with: Opened | None = None,
 ) -> LocateResult:
     """Measure points of the arms from the tracker's present station, and store the model in its frame.
 
     ``tracker_pose`` is the rough pose of the tracker in the cell frame, by default the last located one, or that in
     the profile. ``simulated_pose`` first moves the tracker of a simulated cell, for this and later jobs in this run.
-    ``open_with`` opens the cell. If the points do not fit, the result says why and has no model.
+    If the points do not fit, the result says why and has no model.
 
     Raises
     ------
@@ -73,7 +70,7 @@ def locate_run(
     opened = noting_controllers(run, notes)
     with running_job(run, control, "locate"):
         confirm = confirmation(run.profile, work.ask(run.profile.name))
-        found = locate_station(task, control, confirm=confirm, opened=opened, open_with=open_with)
+        found = locate_station(task, control, confirm=confirm, opened=opened)
         result = _result(run.profile, task, found, (*notes, *found.notes))
         model = relocated(task.model, found.fit.T_new_old, found.fit.twists) if found.fit.explains else None
         _store(run, used, result, model)  # before the end is reported: listeners then read the run
@@ -158,12 +155,10 @@ def _result(profile: Profile, task: LocateTask, found: LocatedStation, notes: tu
 def _store(run: RunFile, used: StoredStage, result: LocateResult, moved: CellModel | None) -> None:
     basis = basis_on_model(run, used)
     assert basis is not None
-    text = None
-    if moved is not None:
-        provenance = {**moved.provenance, "stage": LOCATE, "basis": basis.model_dump()}
-        moved = replace(moved, provenance=provenance)
-        text = moved.to_json()
-    append_stage(run, LOCATE, result, basis, text)
+    if moved is None:
+        append_stage(run, LOCATE, result, basis)
+    else:
+        moved = append_with_model(run, LOCATE, result, moved, basis)
     for line in (*result.complaints(), *result.notes):
         run.log("warning" if result.verdict != "located" else "note", line)
     if moved is not None:

@@ -12,7 +12,6 @@ from cellapp.cell.driving.cell_checks import noting_controllers
 from cellapp.cell.driving.check import CheckTask, DrivenCheck, MeasuredStop, check_candidates, drive_check
 from cellapp.cell.driving.measuring import FoundPoint, points_of
 from cellapp.cell.driving.requests import running_job
-from cellapp.cell.driving.supervision import Opened
 from cellapp.cell.driving.verification import measured_rotation
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
@@ -54,13 +53,11 @@ def run(request: CheckRequest, work: Work) -> CheckResult | LocateResult:
         return check_run(opened, request, work, plant)
 
 
-def check_run(
-    run: RunFile, request: CheckRequest, work: Work, plant: Plant | None = None, open_with: Opened | None = None
-) -> CheckResult:
+def check_run(run: RunFile, request: CheckRequest, work: Work, plant: Plant | None = None) -> CheckResult:
     """Measure stops of all arms, judge the model in force by them, and store the result.
 
     The test ends early once it decides. ``plant`` replaces the simulated cell's hidden physics for this job,
-    to show a change. ``open_with`` opens the cell.
+    to show a change.
 
     Raises
     ------
@@ -89,7 +86,7 @@ def check_run(
     opened = noting_controllers(run, notes)
     with running_job(run, control, "check"):
         confirm = confirmation(run.profile, work.ask(run.profile.name))
-        driven = drive_check(task, test, control, confirm=confirm, opened=opened, open_with=open_with)
+        driven = drive_check(task, test, control, confirm=confirm, opened=opened)
         result = _result(run, checked, driven, test.conclusion())
         result = result.model_copy(update={"notes": (*notes, *result.notes), "simulated": plant is not None})
         _store(run, checked, result)  # before the end is reported: listeners then read the run

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from cellapp.cell.run import RunFile
 from cellapp.commands.check.location import LocateResult
 from cellapp.commands.stages import RunStages, read_history, read_stages, tracker_moved
 from cellapp.commands.stored_model import read_calibration
+from cellapp.estimation.calibration.least_squares import mean_variance
 from cellapp.estimation.readings.readings import stated_uncertainty
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Pose, Profile
 from cellapp.ground.results import CHECK, ISO9283, LOCATE, VERIFY
 from cellapp.ground.shell import shell_word
-from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import CellModel
 
 _MEASURED_BY = (LOCATE, CHECK, VERIFY, ISO9283)
@@ -78,11 +76,6 @@ def excess_of_readings(run: RunFile, model: CellModel) -> dict[str, float]:
             result = stored.arms[name]
             noise_m = result.validate_[result.best_stage].position_mm.rms * 1e-3 / math.sqrt(3.0)
         stated = stated_uncertainty(run.readings(name))
-        tracker = 0.0 if stated is None else float(np.mean(_variances(stated)))
+        tracker = 0.0 if stated is None else mean_variance(stated)
         found[name] = math.sqrt(max(noise_m**2 - tracker, 0.0))
     return found
-
-
-def _variances(stated: Array) -> Array:
-    """Return the variance (n,) [m^2] of a coordinate from standard uncertainties (n,) [m] or covariances (n, 3, 3)."""
-    return np.asarray(stated**2 if stated.ndim == 1 else np.trace(stated, axis1=1, axis2=2) / 3.0)

@@ -102,9 +102,9 @@ def _stops(
 def _replaced(run: RunFile, model: LiveModel) -> Iterator[ReplacedReading]:
     """Yield the replaced readings of each arm, with their residuals from the model of the readings that count."""
     for name in run.profile.arms:
-        earlier = earlier_readings(run, name)
-        stops, lengths_m = earlier.readings.configuration.tolist(), model.lengths_m(name, earlier.readings)
-        for stop, when, length_m in zip(stops, earlier.replaced, lengths_m, strict=True):
+        earlier, replaced = earlier_readings(run, name)
+        lengths_m = model.lengths_m(name, earlier)
+        for stop, when, length_m in zip(earlier.configuration.tolist(), replaced, lengths_m, strict=True):
             residual_mm = None if length_m is None else length_m * 1e3
             yield ReplacedReading(stop=stop, arm=name, replaced=when, residual_mm=residual_mm)
 

@@ -15,7 +15,7 @@ from cellapp.commands.collect.charts import drift_by_reference, drift_chart, swe
 from cellapp.commands.record import Request, View
 from cellapp.commands.view.charts import Chart
 from cellapp.commands.view.parts import Section, section_of
-from cellapp.commands.view.table import Cell, Table, columns_of, table_of, with_rows
+from cellapp.commands.view.table import Cell, Table, columns_of, part_title, table_of, with_rows
 from cellapp.ground.counting import counted, mm
 from cellapp.ground.results import second_of
 
@@ -95,11 +95,11 @@ def collection_tables(state: CollectionResult) -> list[Table]:
     ]
     measured = [one for one in state.stops if one.residual_mm is not None]
     worst = sorted(measured, key=_suspicion, reverse=True)[:_MOST_LISTED]
-    return with_rows(*tables, stops_table(worst, len(measured), "Stops to look at first"))
+    return with_rows(*tables, stops_table(worst, part_title("Stops to look at first", len(worst), len(measured))))
 
 
-def stops_table(stops: Sequence[CollectedStop], count: int | None = None, title: str = "Stops one by one") -> Table:
-    """Show residual, its sigma, their ratio and the suspicion of stops; these are some of ``count`` stops."""
+def stops_table(stops: Sequence[CollectedStop], title: str = "Stops one by one") -> Table:
+    """Show residual, its sigma, their ratio and the suspicion of stops."""
     return table_of(
         title,
         stops,
@@ -110,7 +110,6 @@ def stops_table(stops: Sequence[CollectedStop], count: int | None = None, title:
         ("ratio", residual_ratio, ".1f"),
         ("retried", _retried),
         ("suspicion", "suspicion"),
-        count=count,
     )
 
 
@@ -233,31 +232,25 @@ def _time(written: str | None) -> str:
     return "" if written is None else second_of(written)
 
 
-_COLUMNS = columns_of(
-    "arm",
-    "recording",
-    "of",
-    ("n", "d"),
-    ("s", ".1f"),
-    ("Hz", ".1f"),
-    ("gaps", "d"),
-    ("longest [s]", ".3f"),
-    ("repeats", "d"),
-    ("clock steps back", "d"),
-    ("beam lost", "d"),
-    "with",
-)
-
-
 _OF_POINTS = ("sigma_m", "quat_w", "split")
 
 
 def recording_tables(states: Sequence[RecordingState]) -> list[Table]:
     """Build a table with two rows for each recording; no table without recordings."""
-    rows: list[tuple[Cell, ...]] = []
-    for one in states:
-        for kind, its in (("joints", one.joints), ("points", one.points)):
-            there = [name for name in one.optional if (name in _OF_POINTS) == (kind == "points")]
-            cells = (its.n, its.seconds, its.rate_hz, its.gaps, its.longest_gap_s, its.repeats, its.backward, its.lost)
-            rows.append((one.arm, one.name, kind, *cells, ", ".join(there)))
-    return [Table("Recordings of motion", _COLUMNS, tuple(rows))] if rows else []
+    table = table_of(
+        "Recordings of motion",
+        [(one, kind, its) for one in states for kind, its in (("joints", one.joints), ("points", one.points))],
+        ("arm", lambda row: row[0].arm),
+        ("recording", lambda row: row[0].name),
+        ("of", lambda row: row[1]),
+        ("n", lambda row: row[2].n, "d"),
+        ("s", lambda row: row[2].seconds, ".1f"),
+        ("Hz", lambda row: row[2].rate_hz, ".1f"),
+        ("gaps", lambda row: row[2].gaps, "d"),
+        ("longest [s]", lambda row: row[2].longest_gap_s, ".3f"),
+        ("repeats", lambda row: row[2].repeats, "d"),
+        ("clock steps back", lambda row: row[2].backward, "d"),
+        ("beam lost", lambda row: row[2].lost, "d"),
+        ("with", lambda row: ", ".join(one for one in row[0].optional if (one in _OF_POINTS) == (row[1] == "points"))),
+    )
+    return with_rows(table)

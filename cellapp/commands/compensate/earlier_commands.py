@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
+from typing import Any
 
 import numpy as np
 import scipy
@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from cellapp.cell.run import RunFile
 from cellapp.cell.targets.goals import goals_of_arm
-from cellapp.cell.targets.records import CompensateResult, VerifyResult
 from cellapp.cell.targets.targets import Target
-from cellapp.commands.stages import read_history
+from cellapp.commands.stages import json_object, read_history
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import COMPENSATE, PUSH, VERIFY
 from cellapp.robot.kinematics.chain import Geometry, flange_poses, smr_positions
@@ -37,18 +36,13 @@ def refuse_corrected(run: RunFile, name: str, chain: Geometry, words: Sequence[s
 
     ``R`` (n, 3, 3), NaN where any rotation will do, and ``p`` (n, 3) [m] are of the flange and of the chain's tool.
     """
-    taught, sent = list[tuple[float, ...]](), list[tuple[float, ...]]()
+    taught, sent = list[list[float]](), list[list[float]]()
     for stage in read_history(run):
-        with suppress(InputError):  # of another version
-            if stage.name == COMPENSATE:
-                computed = [
-                    one for one in CompensateResult.from_json(stage.text, stage.name).targets if one.arm == name
-                ]
-                taught += [one.q_nominal for one in computed if one.q_nominal is not None]
-                sent += [one.q_compensated for one in computed if one.q_compensated is not None]
-            elif stage.name in (PUSH, VERIFY):
-                driven = [one for one in VerifyResult.from_json(stage.text, stage.name).targets if one.arm == name]
-                sent += [one.q_corrected for one in driven if one.q_corrected is not None]
+        stored: Any = json_object(stage.text) if stage.name in (COMPENSATE, PUSH, VERIFY) else None
+        for one in (stored or {}).get("targets", ()):
+            if one.get("arm") == name:
+                taught += [one["q_nominal"]] if one.get("q_nominal") else []
+                sent += [q for q in (one.get("q_compensated"), one.get("q_corrected")) if q]
     for k in np.flatnonzero(_stands(chain, sent, R, p) & ~_stands(chain, taught, R, p)).tolist():
         raise InputError(
             f"{words[k]} of arm '{name}' stands where a command that this run computed for an earlier target does: it"
@@ -56,7 +50,7 @@ def refuse_corrected(run: RunFile, name: str, chain: Geometry, words: Sequence[s
         )
 
 
-def _stands(chain: Geometry, q: Sequence[tuple[float, ...]], R: Array, p: Array) -> NDArray[np.bool_]:
+def _stands(chain: Geometry, q: Sequence[Sequence[float]], R: Array, p: Array) -> NDArray[np.bool_]:
     """Return whether each pose is that of the chain at one of ``q``."""
     if not q or not len(p):
         return np.zeros(len(p), dtype=np.bool_)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from contextlib import suppress
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Self
 
@@ -91,7 +92,7 @@ class CompensateRequest(Request):
         ),
     ] = False
 
-    @property
+    @cached_property
     def program(self) -> Path | None:
         """The program of a UR controller whose targets are corrected; None for targets and paths."""
         return self.targets if isinstance(self.targets, Path) and program_kind(self.targets) else None

@@ -6,23 +6,17 @@ A list may have thousands of targets: a table shows those that need attention mo
 from __future__ import annotations
 
 import math
+from operator import itemgetter
 
 from cellapp.cell.targets.records import CompensateResult, MeasuredTarget, TargetCommand, VerifyResult
-from cellapp.commands.calibrate.view import ERROR_COLUMNS, MM, error_cells
+from cellapp.commands.calibrate.view import MM, error_table
 from cellapp.commands.compensate.words import PART_WORDS, Measured, all_measured, arms_words, shown_tolerance
-from cellapp.commands.view.table import (
-    MOST_ROWS,
-    Cell,
-    Field,
-    Table,
-    columns_of,
-    most_urgent,
-    part_table,
-    table_of,
-    without_empty,
-)
+from cellapp.commands.view.table import Field, Table, urgent_rows, with_rows
+from cellapp.ground.grouping import grouped
 
 _PAIRS = "between arms"
+_COMMANDS = {"uncompensated": "nominal", "compensated": "compensated", "corrected": "corrected"}
+"""Words for commands -> the beginning of the fields with their errors."""
 
 _DEG = ".2f"
 """Number format of joint angles in degrees."""
@@ -52,43 +46,40 @@ def stored_tables(result: CompensateResult) -> list[Table]:
 
 def command_tables(result: CompensateResult) -> list[Table]:
     """Show compensated joint angles [deg] of every target that can be commanded, one table for each arm."""
-    tables = []
-    for arm in dict.fromkeys(target.arm for target in result.targets):
-        commands = [
-            (target.name, target.q_compensated)
-            for target in result.targets
-            if target.arm == arm and target.q_compensated is not None
-        ]
-        if commands:
-            joints = len(commands[0][1])
-            columns = columns_of("target", *((f"q{joint}", _DEG, "deg") for joint in range(1, joints + 1)))
-            rows: list[tuple[Cell, ...]] = [(name, *map(math.degrees, q)) for name, q in commands]
-            tables.append(part_table(f"Arm {arm}: compensated commands", columns, rows[:MOST_ROWS], len(rows)))
-    return tables
+    commands = grouped((one.arm, (one.name, *one.q_compensated)) for one in result.targets if one.q_compensated)
+    return [
+        table
+        for arm, rows in commands.items()
+        for table in urgent_rows(
+            f"Arm {arm}: compensated commands",
+            rows,
+            ("target", itemgetter(0)),
+            *((f"q{j}", lambda row, j=j: math.degrees(row[j]), _DEG, "deg") for j in range(1, len(rows[0]))),
+        )
+    ]
 
 
 def predicted_tables(result: CompensateResult) -> list[Table]:
     """Show whether commands should meet the tolerances; empty if no target has one."""
     judged = [target for target in result.targets if target.tolerance_mm is not None]
-    table = table_of(
+    tables = urgent_rows(
         "Predicted: targets with a tolerance [mm]",
-        most_urgent(judged, _prediction_urgency),
+        judged,
         *_TARGET,
         ("standard uncertainty", "uncertainty_mm", MM),
         _BOUND,
         _TOLERANCE,
         ("tolerance met", lambda target: target.refusal or target.verdict),
-        count=len(judged),
+        urgency=_prediction_urgency,
     )
-    return [*([table] if judged else []), *angle_tables(result), *_relative_tables(result)]
+    return [*tables, *angle_tables(result), *_relative_tables(result)]
 
 
 def _relative_tables(result: CompensateResult) -> list[Table]:
     """Show what is predicted of the partner's flange seen from the first one; empty without two probes."""
-    known = [target for target in result.targets if target.relative is not None]
-    table = table_of(
+    return urgent_rows(
         "Predicted: the partner's flange seen from the first one",
-        known[:MOST_ROWS],
+        [target for target in result.targets if target.relative is not None],
         ("target", "name"),
         ("arms", lambda one: arms_words((one.partner, one.arm))),
         ("95 % bound [mm]", "relative.within_mm", MM),
@@ -97,9 +88,7 @@ def _relative_tables(result: CompensateResult) -> list[Table]:
         ("95 % bound [mrad]", "relative.within_mrad", MM),
         ("tolerance [mrad]", lambda one: shown_tolerance(one.orientation_tolerance_mrad), "g"),
         ("angle met", "relative.turn_verdict"),
-        count=len(known),
     )
-    return [without_empty(table)] if known else []
 
 
 def angle_tables(result: CompensateResult) -> list[Table]:
@@ -107,37 +96,33 @@ def angle_tables(result: CompensateResult) -> list[Table]:
 
     Empty if no orientation was measured.
     """
-    known = [target for target in result.targets if target.orientation is not None]
-    table = table_of(
+    return urgent_rows(
         "Predicted: rotation of the flange [mrad]",
-        most_urgent(known, _rotation_urgency),
+        [target for target in result.targets if target.orientation is not None],
         *_TARGET,
         ("before", "orientation.nominal_mrad", MM),
         ("standard uncertainty", "orientation.uncertainty_mrad", MM),
         ("95 % bound", "orientation.within_mrad", MM),
         _ROTATION_TOLERANCE,
         ("tolerance met", "orientation.verdict"),
-        count=len(known),
+        urgency=_rotation_urgency,
     )
-    return [without_empty(table)] if known else []
 
 
 def uncertainty_tables(result: CompensateResult) -> list[Table]:
     """Show the standard uncertainty of a coordinate at each command by sources, and the 95 % bound; empty if
     unknown."""
-    known = [target for target in result.targets if target.parts is not None]
-    table = table_of(
+    return urgent_rows(
         "Standard uncertainty of a coordinate by its sources [mm]",
-        most_urgent(known, lambda target: target.within_mm or 0.0),
+        [target for target in result.targets if target.parts is not None],
         *_TARGET,
         *((word, f"parts.{part}", MM) for part, word in PART_WORDS.items()),
         ("together", "uncertainty_mm", MM),
         _BOUND,
         ("branches", "branches", "d"),
         ("tracker sees it", lambda target: _YES_NO[target.visible]),
-        count=len(known),
+        urgency=lambda target: target.within_mm or 0.0,
     )
-    return [table] if known else []
 
 
 # -- measured ---------------------------------------------------------------------------------------------------------
@@ -156,10 +141,9 @@ def measured_tables(verify: VerifyResult) -> list[Table]:
 
 def measured_angle_tables(verify: VerifyResult) -> list[Table]:
     """Show targets at which a probe measured the flange's rotation; empty if there are none."""
-    measured = [target for target in verify.targets if target.orientation is not None]
-    table = table_of(
+    return urgent_rows(
         "Measured: rotation of the flange, angle from the target [mrad]",
-        most_urgent(measured, lambda target: (target.orientation and target.orientation.final_mrad) or 0.0),
+        [target for target in verify.targets if target.orientation is not None],
         *_TARGET,
         ("before", "orientation.nominal_mrad", MM),
         ("after", "orientation.final_mrad", MM),
@@ -167,9 +151,8 @@ def measured_angle_tables(verify: VerifyResult) -> list[Table]:
         _ROTATION_TOLERANCE,
         ("U", lambda target: target.orientation.expanded_mrad if target.orientation.verdict else None, MM),
         ("met", "orientation.verdict"),
-        count=len(measured),
+        urgency=lambda target: (target.orientation and target.orientation.final_mrad) or 0.0,
     )
-    return [without_empty(table)] if measured else []
 
 
 def all_measured_tables(verify: VerifyResult) -> list[Table]:
@@ -180,20 +163,18 @@ def all_measured_tables(verify: VerifyResult) -> list[Table]:
 def pair_tables(verify: VerifyResult) -> list[Table]:
     """Show the error of the distance between both SMRs at cooperative targets; empty if there are none."""
     measured = [pair for pair in verify.pairs if pair.compensated_mm is not None]
-    table = table_of(
+    distances = urgent_rows(
         "Cooperative targets: error of the distance between both SMRs [mm]",
-        list(enumerate(measured, start=1))[:MOST_ROWS],
+        list(enumerate(measured, start=1)),
         *_NUMBERED,
         ("arms", lambda row: arms_words(row[1].arms)),
         ("distance", lambda row: row[1].wanted_mm, ".3f"),
         *_ERRORS,
         *_MET,
-        count=len(measured),
     )
-    seen = [pair for pair in measured if pair.relative is not None]
-    relative = table_of(
+    relative = urgent_rows(
         "Cooperative targets: the partner's flange seen from the first one",
-        seen[:MOST_ROWS],
+        [pair for pair in measured if pair.relative is not None],
         ("target", "name"),
         ("before [mm]", "relative.nominal_mm", MM),
         ("after [mm]", "relative.final_mm", MM),
@@ -203,35 +184,32 @@ def pair_tables(verify: VerifyResult) -> list[Table]:
         ("after [mrad]", "relative.final_mrad", MM),
         ("95 % bound [mrad]", "relative.within_mrad", MM),
         ("angle met", "relative.verdict"),
-        count=len(seen),
     )
-    return [*([without_empty(table)] if measured else []), *([without_empty(relative)] if seen else [])]
+    return [*distances, *relative]
 
 
 def not_measured_tables(verify: VerifyResult) -> list[Table]:
     """Show targets without measurement, single and cooperative, and why."""
     without = [one for one in all_measured(verify) if one.note]
     fields: tuple[Field, ...] = (("target", "name"), ("arm", _arms), ("reason", "note"))
-    table = table_of("Targets that were not measured", without[:MOST_ROWS], *fields, count=len(without))
-    return [table] if without else []
+    return urgent_rows("Targets that were not measured", without, *fields)
 
 
 def _arm_tables(verify: VerifyResult) -> list[Table]:
-    tables = []
-    for arm in verify.arms:
-        measured = list(enumerate(measured_targets(verify, arm), start=1))
-        table = table_of(
+    return [
+        table
+        for arm in verify.arms
+        for table in urgent_rows(
             f"Arm {arm}: each target [mm]",
-            most_urgent(measured, lambda row: row[1].final_mm or 0.0),
+            list(enumerate(measured_targets(verify, arm), start=1)),
             *_NUMBERED,
             ("frame", lambda row: "" if row[1].frame == "base" else row[1].frame),
             *_ERRORS,
             ("95 % bound", lambda row: row[1].within_mm, MM),
             *_MET,
-            count=len(measured),
+            urgency=lambda row: row[1].final_mm or 0.0,
         )
-        tables.append(without_empty(table))
-    return tables
+    ]
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
@@ -256,41 +234,37 @@ def verification_tables(result: VerifyResult) -> list[Table]:
     Empty if no target was measured with both commands.
     """
     measured = dict(result.arms) if result.cooperative is None else {**result.arms, _PAIRS: result.cooperative}
-    rows = [
-        (f"{name}, {label}", *error_cells(summary))
-        for name, arm in measured.items()
-        for label, summary in (("uncompensated", arm.nominal_mm), ("compensated", arm.compensated_mm))
-    ]
-    if not rows:
+    if not measured:
         return []
-    columns = columns_of("arm, command", *ERROR_COLUMNS)
-    angles = [
-        (f"{name}, {label}", *error_cells(summary))
-        for name, arm in measured.items()
-        for label, summary in (("uncompensated", arm.nominal_mrad), ("compensated", arm.compensated_mrad))
-        if summary is not None
-    ]
-    return [
-        Table("Targets: measured distance from where they should be [mm]", columns, tuple(rows)),
-        *([Table("Targets: measured angle from the rotation wanted [mrad]", columns, tuple(angles))] if angles else []),
-        *_tolerance_tables(result),
-    ]
+    units = {"distance from where they should be": "mm", "angle from the rotation wanted": "mrad"}
+    errors = (
+        error_table(
+            f"Targets: measured {what} [{unit}]",
+            "arm, command",
+            (
+                (f"{name}, {command}", errors)
+                for name, arm in measured.items()
+                for command, key in _COMMANDS.items()
+                if (errors := getattr(arm, f"{key}_{unit}", None)) is not None
+            ),
+        )
+        for what, unit in units.items()
+    )
+    return [*with_rows(*errors), *_tolerance_tables(result)]
 
 
 def _tolerance_tables(result: VerifyResult) -> list[Table]:
     """Show targets with a tolerance; of many, those with the largest error as a share of it."""
-    judged = [one for one in all_measured(result) if one.tolerance_mm is not None]
-    table = table_of(
+    return urgent_rows(
         "Targets with a tolerance [mm]",
-        most_urgent(judged, lambda one: (one.final_mm or 0.0) / (one.tolerance_mm or math.inf)),
+        [one for one in all_measured(result) if one.tolerance_mm is not None],
         ("target", "name"),
         ("arm", _arms),
         ("compensated", "final_mm", MM),
         _TOLERANCE,
         ("tolerance met", "verdict"),
-        count=len(judged),
+        urgency=lambda one: (one.final_mm or 0.0) / (one.tolerance_mm or math.inf),
     )
-    return [table] if judged else []
 
 
 def _arms(one: Measured) -> str:

@@ -57,7 +57,7 @@ def target_parts(results: RunResults, state: TargetState) -> list[Table | str]:
 
 
 def paths_view(result: PathResult) -> View:
-    """Show the paths, the joints that turn round on them, and what limits or refuses them."""
+    """Show the paths, the joints that reverse on them, and what limits or refuses them."""
     planned = [path for path in result.paths if not path.refusal]
     lines = [f"path {path.name}: refused: {path.refusal}" for path in result.paths if path.refusal]
     lines += [

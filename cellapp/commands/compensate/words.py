@@ -210,10 +210,12 @@ def _unseen_words(result: CompensateResult) -> list[str]:
 def verify_message(verify: VerifyResult) -> str:
     """Summarize the verification: number of targets within tolerance, mean error before and after."""
     parts = [_tolerance_message(verify)] if _judged(verify) else []
-    before = [target.nominal_mm for target in verify.targets if target.nominal_mm is not None]
-    after = [mm for target in verify.targets if (mm := target.final_mm) is not None]
-    if before and after:
-        parts.append(f"mean error {np.mean(before):.2f} -> {np.mean(after):.3f} mm at {counted(len(after), 'target')}")
+    measured = [one for one in verify.targets if None not in (one.nominal_mm, one.final_mm)]
+    if measured:
+        by_arm = grouped((one.arm, (one.nominal_mm, one.final_mm)) for one in measured)
+        means = {name: np.mean(np.array(errors_mm), axis=0) for name, errors_mm in by_arm.items()}
+        words = ", ".join(f"{name} {before:.2f} -> {after:.3f} mm" for name, (before, after) in means.items())
+        parts.append(f"mean error of {words} at {counted(len(measured), 'target')}")
     pairs = [pair for pair in verify.pairs if pair.nominal_mm is not None and pair.final_mm is not None]
     if pairs:
         nominal = np.mean([pair.nominal_mm for pair in pairs if pair.nominal_mm is not None])

@@ -11,7 +11,6 @@ from cellapp.cell.planning.propose import Proposal as ProposedStops
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.recordings import known_readings, read_recordings_of
 from cellapp.commands.calibrate.prior_source import basis_of_priors, earlier_of_calibration
-from cellapp.commands.calibrate.result import pair_result
 from cellapp.commands.discover.request import DiscoverRequest
 from cellapp.commands.record import Work
 from cellapp.commands.stages import basis_of, read_stages
@@ -155,7 +154,7 @@ def discover_result(found: CellDiscovery) -> DiscoverResult:
     """Build the object that ``discover --json`` writes and the run file stores."""
     return DiscoverResult(
         arms={name: discovery.result for name, discovery in found.arms.items()},
-        pair={} if found.pair is None else {"effects": pair_result(found.pair)["effects"]},
+        pair={} if found.pair is None else {"effects": found.pair.methods["effects"]},
         notes=tuple(f"not searched for: {one.refusal}" for one in EFFECTS.plugins if one.problem) or None,
     )
 

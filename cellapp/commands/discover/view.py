@@ -187,12 +187,12 @@ def _pictures(name: str, arm: ArmDiscoveryResult) -> Iterator[Section]:
     shown, others = arm.pictures[:_MOST_PICTURES], [picture.title for picture in arm.pictures[_MOST_PICTURES:]]
     drawn = [replace(picture_chart(name, picture), message=picture_words(picture)) for picture in shown]
     if drawn:
-        more = [f"Smaller ones are in the terminal application: {'; '.join(dict.fromkeys(others))}."] if others else []
+        more = f" Smaller ones are in the terminal application: {'; '.join(dict.fromkeys(others))}." if others else ""
         about = (
             "Dots are measured values of one effect, with all other parts of the model subtracted, at the readings that"
-            " the search used."
+            f" the search used.{more}"
         )
-        yield Section([*undrawn_sentences(arm), *more, *drawn], about=about, title="What the effects look like")
+        yield Section([*undrawn_sentences(arm), *drawn], about=about, title="What the effects look like")
 
 
 def _decision_words(settings: DiscoverySettings) -> str:

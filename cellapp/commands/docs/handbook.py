@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -10,6 +9,7 @@ from functools import cache
 from importlib import resources
 
 from cellapp.commands.docs.keys import filled_keys
+from cellapp.ground.counting import did_you_mean
 from cellapp.ground.errors import InputError
 from cellapp.ground.removed import removed_command
 
@@ -75,8 +75,7 @@ def topic_text(topic: str) -> str:
     """
     kept = chapter_text(topic) if topic in CHAPTERS else effect_sections().get(topic)
     if kept is None:
-        near = difflib.get_close_matches(topic, topics(), n=1)
-        meant = f"did you mean '{near[0]}'? Topics" if near else "topics"
+        meant = did_you_mean(topic, topics(), "did you mean '{}'? Topics", otherwise="topics")
         where = ", ".join(one.section.address for one in search(topic)[:3])
         where = f"; sections with this word: {where}" if where else ""
         said = f"docs: '{topic}' is not a topic; {meant} are {', '.join(topics())}{where}"

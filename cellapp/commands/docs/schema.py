@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import json
 from collections.abc import Iterable
 from typing import Any
@@ -13,6 +12,7 @@ from cellapp.commands.record import Verb
 from cellapp.commands.registry import records
 from cellapp.commands.show.comparison import RunComparison
 from cellapp.commands.show.result import HistoryResult, LogResult, OverviewResult
+from cellapp.ground.counting import did_you_mean
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import ErrorResult, Result
 
@@ -71,9 +71,7 @@ def schemas_text(name: str | None) -> str:
     if name is None:
         return json.dumps({name: json_schema(result) for name, result in results.items()}, indent=1)
     if name not in results:
-        near = difflib.get_close_matches(
-            name.removeprefix("cellapp-"), [one.removeprefix("cellapp-") for one in results], 1
-        )
-        meant = f"did you mean 'cellapp-{near[0]}'? Results" if near else "results"
+        own, known = name.removeprefix("cellapp-"), [one.removeprefix("cellapp-") for one in results]
+        meant = did_you_mean(own, known, "did you mean 'cellapp-{}'? Results", otherwise="results")
         raise InputError(f"docs: --schema: '{name}' is not a result; {meant} are {', '.join(results)}")
     return json.dumps(json_schema(results[name]), indent=1)

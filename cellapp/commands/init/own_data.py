@@ -32,6 +32,7 @@ from cellapp.estimation.calibration.quantities import repeats_words
 from cellapp.estimation.calibration.station_location import COMPUTED, Explained, better_reading, explained
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
+from cellapp.ground.file_text import file_text
 from cellapp.ground.outputs import NEW_ONLY, Outputs
 from cellapp.ground.profile.schema import ArmType
 from cellapp.ground.results import Result
@@ -331,10 +332,10 @@ def _types(own: InitRequest, joints: int) -> list[_Type]:
             text, notes = arm_type_text(path, joints, modified=own.modified)
             other = arm_type_of_text(arm_type_text(path, joints, modified=not own.modified)[0], path)
         else:
-            text = _read(path)
+            text = file_text(path, "--arm takes the file of an arm type")
         found = [_Type(path.stem, f"arms/{path.stem.lower()}.yaml", text, arm_type_of_text(text, path), notes, other)]
     else:
-        found = [one for one in _all_arms() if arm in ("", one.name)]
+        found = [one for one in _all_arms() if arm.lower() in ("", one.name)]
     if not found:
         known = ", ".join(file.stem for file in arm_type_files())
         raise InputError(
@@ -354,17 +355,8 @@ def _types(own: InitRequest, joints: int) -> list[_Type]:
 
 def _all_arms() -> list[_Type]:
     """Return the arm types of this program."""
-    texts = {file: _read(file) for file in arm_type_files()}
+    texts = {file: file.read_text("utf-8") for file in arm_type_files()}
     return [_Type(file.stem, f"arms/{file.name}", text, arm_type_of_text(text, file)) for file, text in texts.items()]
-
-
-def _read(path: Path) -> str:
-    try:
-        return path.read_text("utf-8")
-    except OSError as error:
-        raise InputError(f"--arm: {path} cannot be read ({error.strerror}); give the file of an arm type") from None
-    except UnicodeDecodeError:
-        raise InputError(f"--arm: {path} is no text in UTF-8; give the file of an arm type") from None
 
 
 def _decided_type(own: InitRequest, types: list[_Type], q: Array, p_M: Array, choose: Choose) -> _Type:

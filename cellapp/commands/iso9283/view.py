@@ -11,7 +11,7 @@ from cellapp.commands.iso9283.request import Iso9283Request
 from cellapp.commands.record import View
 from cellapp.commands.view.charts import Axis, Chart, Series, noise_limit, series
 from cellapp.commands.view.parts import Part, Section, section_of
-from cellapp.commands.view.table import Cell, Field, Table, columns_of, table_of
+from cellapp.commands.view.table import Field, Table, table_of
 from cellapp.commands.view.words import RULE_WORDS
 from cellapp.estimation.iso9283.norm import ISO_COMMANDS, IsoCommands
 from cellapp.estimation.iso9283.records import CommandedTests, Iso9283Result, IsoValue, PoseCharacteristics, SpeedSeries
@@ -31,7 +31,6 @@ _VALUES: Mapping[str, Callable[[CommandedTests], Sequence[IsoValue]]] = {
 """Characteristics in order of preference; the first measured one makes the message of an arm."""
 _COMMANDED: tuple[Field, ...] = (("arm", "arm"), ("commands", "commands"))
 """First columns of a table of ``_Commanded``."""
-_FOUND: Mapping[IsoCommands, str] = {"nominal": "as found", "calibrated": "as left"}
 
 
 def view(result: Iso9283Result, request: Iso9283Request | None = None) -> View:
@@ -122,9 +121,7 @@ def _message(result: Iso9283Result) -> str:
 def _largest(values: Mapping[IsoCommands, Sequence[IsoValue]]) -> str:
     """State the largest value with each kind of commands."""
     return ", ".join(
-        f"{max(abs(one.value_mm) for one in values[kind]):.3f} mm {_FOUND[kind]}"
-        for kind in ISO_COMMANDS
-        if values.get(kind)
+        f"{max(abs(one.value_mm) for one in values[kind]):.3f} mm ({kind})" for kind in ISO_COMMANDS if values.get(kind)
     )
 
 
@@ -235,18 +232,18 @@ def _series(result: Iso9283Result) -> Table:
 
 
 def _cooperative(result: Iso9283Result) -> Table:
-    figures = ((title, ".3f") for name in ("AP", "RP", "AD", "RD") for title in (name, f"U({name})"))
-    columns = columns_of("arms", "commands", "poses", *figures, ("n", "d"))
-    rows: list[tuple[Cell, ...]] = []
-    for pair in result.pairs:
-        for kind in ISO_COMMANDS:
-            both = zip(pair.vector.get(kind, ()), pair.distance.get(kind, ()), strict=True)
-            for vector, length in both:
-                values = (vector.accuracy, vector.repeatability, length.accuracy, length.repeatability)
-                cells = [cell for value in values for cell in (value.value_mm, value.expanded_mm)]
-                rows.append((" and ".join(pair.arms), kind, vector.pose, *cells, vector.accuracy.n))
+    rows = [
+        _Commanded(" and ".join(pair.arms), kind, *both)
+        for pair in result.pairs
+        for kind in ISO_COMMANDS
+        for both in zip(pair.vector.get(kind, ()), pair.distance.get(kind, ()), strict=True)
+    ]
+    *vectors, n = _pair_fields("AP", "RP")
+    *distances, _ = _pair_fields("AD", "RD", "of")
     title = "Cooperative accuracy and repeatability [mm]: vector and distance between both SMRs"
-    return Table(title, columns, tuple(rows))
+    return table_of(
+        title, rows, ("arms", "arm"), ("commands", "commands"), ("poses", "one.pose"), *vectors, *distances, n
+    )
 
 
 def _directions(result: Iso9283Result) -> Table:
@@ -381,12 +378,12 @@ def _measured(result: Iso9283Result, what: str) -> list[_Commanded]:
     return [_Commanded(name, kind, one) for name, kind, tests in _tests_of(result) for one in getattr(tests, what)]
 
 
-def _pair_fields(first: str, second: str) -> Iterator[Field]:
-    """Yield accuracy and repeatability of ``_Commanded.one`` with their uncertainties, and the number of cycles."""
+def _pair_fields(first: str, second: str, of: str = "one") -> Iterator[Field]:
+    """Yield accuracy and repeatability with their expanded uncertainties, and the number of cycles."""
     for name, attribute in ((first, "accuracy"), (second, "repeatability")):
-        yield name, f"one.{attribute}.value_mm", ".3f"
-        yield f"U({name})", f"one.{attribute}.expanded_mm", ".3f"
-    yield "n", "one.accuracy.n", "d"
+        yield name, f"{of}.{attribute}.value_mm", ".3f"
+        yield f"U({name})", f"{of}.{attribute}.expanded_mm", ".3f"
+    yield "n", f"{of}.accuracy.n", "d"
 
 
 def iso9283_charts(result: Iso9283Result) -> list[Chart]:

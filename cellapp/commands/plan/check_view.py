@@ -225,13 +225,13 @@ def correlation_words(one: FactorCorrelation) -> str:
 
 
 def candidates_table(design: PlanDesignResult) -> Table:
-    """Show how many configurations were drawn for each arm, why some were rejected, and how many are left."""
+    """Show how many configurations were sampled for each arm, why some were rejected, and how many are left."""
     found = (reason for arm in design.arms.values() for reason, count in arm.rejected.items() if count)
     reasons = list(dict.fromkeys(found))
     columns = columns_of("configurations", *((f"arm {name}", "d") for name in design.arms))
     arms = design.arms.values()
     rows: list[tuple[Cell, ...]] = [
-        ("drawn", *(arm.drawn for arm in arms)),
+        ("sampled", *(arm.drawn for arm in arms)),
         *((f"excluded by {reason}", *(arm.rejected.get(reason) for arm in arms)) for reason in reasons),
         ("candidates", *(arm.candidates for arm in arms)),
     ]

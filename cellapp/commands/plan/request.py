@@ -63,11 +63,7 @@ class PlanRequest(Request):
     freeze: Annotated[
         str | None,
         Asked(
-            "configurations, as 0-9,12, that later designs leave.",
-            "LIST",
-            label="freeze",
-            hint="0-9,12 (stop 1 is 0), or none",
-            of="edit",
+            "stops, as 1-10,13, that later designs leave.", "LIST", label="freeze", hint="1-10,13, or none", of="edit"
         ),
     ] = None
 

@@ -45,7 +45,7 @@ from cellapp.ground.threads import one_blas_thread
 _CHANGED = "plan changed: "
 """Prefix of the log line for each change of a plan; the number of such lines varies the seed of the next change."""
 _SEED = 0xADD
-"""Mixed with the profile's seed to draw other candidates than those that could partly not be reached."""
+"""Mixed with the profile's seed to sample other candidates than those that could partly not be reached."""
 
 
 def run(request: PlanRequest, work: Work) -> PlanResult | PlanCheckResult:
@@ -71,7 +71,7 @@ def run(request: PlanRequest, work: Work) -> PlanResult | PlanCheckResult:
 def _changed(request: PlanRequest, folder: Path, work: Work) -> PlanResult:
     with RunFile.open(folder, write=True) as opened:
         if request.freeze is not None:
-            return freeze_stops(opened, listed_numbers(request.freeze, "configurations"), work.control)
+            return freeze_stops(opened, [stop - 1 for stop in listed_numbers(request.freeze, "stops")], work.control)
         if request.add is not None:
             return extend_plan(opened, request.add, work.control)
         return replan(opened, work.control)
@@ -334,7 +334,7 @@ def freeze_stops(run: RunFile, chosen: Collection[int], control: JobControl | No
         required_plan(run)
         stops = read_planned_stops(run)
         if unknown := [stop for stop in chosen if not 0 <= stop < len(stops)]:
-            raise InputError(f"{run.path}: there is no configuration {unknown[0]}; there are 0 to {len(stops) - 1}")
+            raise InputError(f"{run.path}: there is no stop {unknown[0] + 1}; there are 1 to {len(stops)}")
         frozen = np.isin(np.arange(len(stops)), list(chosen))
         write_planned_stops(run, replace(stops, frozen=frozen))
         return plan_result(run, [f"{int(frozen.sum())} of {counted(len(stops), 'stop is', 'stops are')} frozen"])

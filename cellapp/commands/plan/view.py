@@ -62,7 +62,7 @@ def plan_tables(stops: StopsResult) -> list[Table]:
         joints = len(stops.stops[0].q[name])
         columns = columns_of(("stop", "d"), "measured", *((f"q{joint}", _DEG, "deg") for joint in range(1, joints + 1)))
         rows = tuple(
-            (stop.configuration, "yes" if stop.measured else "no", *map(math.degrees, stop.q[name]))
+            (stop.configuration + 1, "yes" if stop.measured else "no", *map(math.degrees, stop.q[name]))
             for stop in stops.stops
         )
         tables.append(Table(f"Arm {name}: planned stops", columns, rows))

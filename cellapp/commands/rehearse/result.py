@@ -11,6 +11,7 @@ from cellapp.cell.driving.rehearsal_rungs import RUNGS, RungName
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.file import noted_profile, rehearsals_path
 from cellapp.ground.errors import InputError
+from cellapp.ground.file_text import file_text
 from cellapp.ground.outputs import RENEWED
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import Result
@@ -63,10 +64,7 @@ def read_log(path: Path, profile: Profile) -> RehearsalLog:
     file = rehearsals_path(path)
     if not file.is_file():
         return new
-    try:
-        found = RehearsalLog.from_json(file.read_text("utf-8"), str(file))
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{file}: cannot be read ({error}); move it away and rehearse again") from None
+    found = RehearsalLog.from_json(file_text(file, "move it away and rehearse again"), str(file))
     return found if found.arms == new.arms else new
 
 

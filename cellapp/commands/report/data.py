@@ -14,7 +14,6 @@ from cellapp.cell.run.measurement_order import read_in_order
 from cellapp.cell.run.recordings import known_readings
 from cellapp.cell.run.records import ArmOrder
 from cellapp.cell.run.sqlite_file import Event
-from cellapp.cell.targets.records import VerifyResult
 from cellapp.commands.calibrate.held_out import HeldOutArm
 from cellapp.commands.certificate.judgements import judge_run
 from cellapp.commands.next_step import arm_states, missing_step
@@ -67,12 +66,6 @@ class ReportData:
     def discover(self) -> DiscoverResult | None:
         """The discovery; None if it no longer holds."""
         return self.results.held.discover
-
-    @property
-    def verify(self) -> VerifyResult | None:
-        """The verification; None if it no longer holds or measured no target with both commands."""
-        verify = self.results.held.verify
-        return None if verify is None or not verify.arms else verify
 
     @property
     def model(self) -> CellModel:
@@ -177,7 +170,7 @@ def unusable_arms(data: ReportData) -> list[tuple[str, str]]:
 
 def warnings(data: ReportData) -> list[str]:
     """Return the calibration's notes, and why targets were not measured."""
-    targets = () if data.verify is None else data.verify.targets
+    targets = data.results.verified.targets
     return [*data.calibrate.notes] + [f"target {target.name}: {target.note}" for target in targets if target.note]
 
 

@@ -30,16 +30,15 @@ def run(request: ReportRequest, work: Work) -> ReportResult:
 
 def view(result: ReportResult, request: Request | None = None) -> View:
     """Show the results that the page shows, what is out of date, and where the page was written."""
-    parts: list[str | Table] = [*all_tables(result), *out_of_date_sentences(result), f"written: {result.page}"]
     strict = isinstance(request, ReportRequest) and request.strict
-    return View(parts, complaints_in(Path(result.run)) if strict else ())
+    return View([*result_parts(result), f"written: {result.page}"], complaints_in(Path(result.run)) if strict else ())
 
 
 # -- Results of a run for a terminal: tables, and what is out of date -------------------------------------------------
 
 
-def all_tables(results: RunResults) -> list[Table]:
-    """Show the calibration, and a discovery, location and verification that are not out of date."""
+def result_parts(results: RunResults) -> list[Table | str]:
+    """Show calibration, discovery, location and verification; say why those that are out of date no longer hold."""
     tables: list[Table] = []
     if results.calibrate is not None:
         tables += calibration_tables(results.calibrate)
@@ -50,9 +49,4 @@ def all_tables(results: RunResults) -> list[Table]:
         tables += location_tables(held.locate)
     if held.verify is not None:
         tables += verification_tables(held.verify)
-    return tables
-
-
-def out_of_date_sentences(results: RunResults) -> list[str]:
-    """Return one sentence for each result that no longer holds, with the reason."""
-    return [f"out of date: {name}: {reason}" for name, reason in results.out_of_date.items()]
+    return [*tables, *(f"out of date: {name}: {reason}" for name, reason in results.out_of_date.items())]

@@ -52,10 +52,9 @@ from cellapp.commands.plan.view import plan_section
 from cellapp.commands.rehearse.result import kept_log
 from cellapp.commands.rehearse.view import log_section
 from cellapp.commands.report.data import ReportData, warnings
-from cellapp.commands.report.summary import best_method
 from cellapp.commands.stages import CALIBRATION_FILE, readings_digest, sha256_of
 from cellapp.commands.stored_model import values_in_force
-from cellapp.commands.trials.detectability import power_parts, stored_power
+from cellapp.commands.trials.detectability import detectability_parts, stored_detectability
 from cellapp.commands.view.charts import Axis, Chart, enumerated, evenly_spread, levelling_rotation, series
 from cellapp.commands.view.parts import Facts, Section, section_of
 from cellapp.commands.view.table import Cell, Table, columns_of
@@ -65,7 +64,7 @@ from cellapp.estimation.calibration.quantities import position_errors
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.ground.counting import counted, mm
 from cellapp.ground.profile import Arm, Profile
-from cellapp.ground.results import CALIBRATE, CHECK, COMPENSATE, ISO9283, Provenance, StageName, day_of
+from cellapp.ground.results import CALIBRATE, CHECK, COMPENSATE, ISO9283, Provenance, StageName, best_method, day_of
 from cellapp.ground.version import __version__
 from cellapp.robot.kinematics.chain import hayati_rows, nominal_geometry, smr_positions
 from cellapp.robot.kinematics.transforms import Array
@@ -199,12 +198,12 @@ def placed(made: Mapping[str, Section | None], out_of_date: Mapping[StageName, s
     return found
 
 
-def power_section(run: RunFile) -> Section | None:
+def detectability_section(run: RunFile) -> Section | None:
     """Show from which size on the plan would find effects; None if that was not tried."""
-    result = stored_power(run)
+    result = stored_detectability(run)
     if result is None:
         return None
-    sentence, *parts = power_parts(result)
+    sentence, *parts = detectability_parts(result)
     about = (
         "Effects were hidden in simulated arms of this cell at the planned stops, at sizes that the trials before"
         " suggested, and searched as 'discover' does. Their laws are not those of the library."
@@ -317,7 +316,7 @@ def _accuracy_message(data: ReportData) -> str:
         best = arm.validate_[arm.best_stage].position_mm.mean
         nominal = f" (nominal {mm(arm.validate_['nominal'].position_mm.mean)})" if "nominal" in arm.validate_ else ""
         parts.append(f"arm {name} {mm(best)}{nominal}")
-    method = best_method(data.calibrate)
+    method = best_method(data.calibrate.pair)
     if method is not None:
         pair = data.calibrate.pair
         nominal = f" (nominal cell {mm(pair['nominal'].cooperative_mm.mean)})" if "nominal" in pair else ""
@@ -333,10 +332,11 @@ def _accuracy_message(data: ReportData) -> str:
 def _targets(data: ReportData) -> Section | None:
     """Show targets that were compensated or measured, if that holds."""
     compensate = data.results.held.compensate
-    if compensate is None and data.verify is None:
+    verify = data.results.verified if data.results.verified.arms else None
+    if compensate is None and verify is None:
         return None
     floors_mm = {name: arm.tracker_mm for name, arm in data.calibrate.arms.items()}
-    return targets_section(compensate, data.verify, floors_mm)
+    return targets_section(compensate, verify, floors_mm)
 
 
 def _iso9283(data: ReportData) -> Section | None:
@@ -423,7 +423,7 @@ def _pair(data: ReportData) -> Section | None:
 
 def _pair_message(calibrate: CalibrateResult) -> str:
     """State the distance of the bases and how well both methods agree; empty without a pair."""
-    method = best_method(calibrate)
+    method = best_method(calibrate.pair)
     if method is None:
         return ""
     estimates = [calibrate.pair[method].identified.get(axis) for axis in "xyz"]
@@ -525,7 +525,7 @@ SECTIONS: Mapping[str, tuple[str, tuple[StageName, ...], Maker]] = {
     "paths": ("Paths", (), _of(_paths)),
     "station": ("Station of the tracker", (), _of(_station)),
     "plan": ("Plan", (), lambda run, _: plan_section(run)),
-    "power": ("What the plan can name", (), lambda run, _: power_section(run)),
+    "power": ("What the plan can name", (), lambda run, _: detectability_section(run)),
     "rehearsal": ("Rehearsal", (), lambda run, _: None if (log := kept_log(run)) is None else log_section(log)),
     "collection": ("Collecting", (), _collection),
     "cell": ("The cell", (), _of(_cell)),

@@ -29,12 +29,11 @@ from cellapp.commands.view.words import (
     place_words,
     verdict_of,
 )
-from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import AcceptedEffect, ArmDiscoveryResult
 from cellapp.estimation.uncertainty.records import Judgement, overall
 from cellapp.ground.counting import counted, mm
 from cellapp.ground.errors import InputError
-from cellapp.ground.results import BEST_METHODS, CALIBRATE, CHECK, DISCOVER, ErrorSummary, Method, day_of
+from cellapp.ground.results import CALIBRATE, CHECK, DISCOVER, ErrorSummary, best_method, day_of
 
 # -- Errors against their tolerances, as shown on the page's first screen ---------------------------------------------
 
@@ -319,7 +318,7 @@ def before_after_figure(data: ReportData) -> BeforeAfterFigure | None:
 
 def _arm_row(data: ReportData, name: str) -> ComparedErrors | None:
     tolerance = _millimetres(data.profile.tolerances.position)
-    verified = None if data.verify is None else data.verify.arms.get(name)
+    verified = data.results.verified.arms.get(name)
     if verified is not None:
         return _verified_row(f"Arm {name}", verified, tolerance)
     arm = data.calibrate.arms[name]
@@ -334,19 +333,14 @@ def _arm_row(data: ReportData, name: str) -> ComparedErrors | None:
 
 def _pair_row(data: ReportData) -> ComparedErrors | None:
     tolerance = _millimetres(data.profile.tolerances.cooperative)
-    if data.verify is not None and data.verify.cooperative is not None:
-        return _verified_row("Cooperative", data.verify.cooperative, tolerance)
-    best = best_method(data.calibrate)
+    if (verified := data.results.verified.cooperative) is not None:
+        return _verified_row("Cooperative", verified, tolerance)
+    best = best_method(data.calibrate.pair)
     if best is None or "nominal" not in data.calibrate.pair:
         return None
     errors = data.calibrate.pair[best].cooperative_mm
     nominal = data.calibrate.pair["nominal"].cooperative_mm
     return _row("Cooperative", counted(errors.n, "held-out stop"), nominal, errors, tolerance)
-
-
-def best_method(calibrate: CalibrateResult) -> Method | None:
-    """Return the best model of the pair that was computed; None without a pair."""
-    return next((method for method in BEST_METHODS if method in calibrate.pair), None)
 
 
 def _verified_row(label: str, verified: ArmVerification, tolerance: float | None) -> ComparedErrors:

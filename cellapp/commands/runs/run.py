@@ -5,13 +5,12 @@ The verb ``runs``: list a folder of runs, or one arm over them. It only reads.
 
 from __future__ import annotations
 
-import json
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import get_args
 
 from pydantic import ValidationError
 
@@ -21,7 +20,7 @@ from cellapp.cell.run.run_arms import StoredIdentity, arm_identities
 from cellapp.cell.run.sqlite_file import FILE_NAME, Session
 from cellapp.commands.next_step import arm_states, next_step
 from cellapp.commands.record import Work
-from cellapp.commands.run_results import UNREADABLE
+from cellapp.commands.run_results import RunResults, read_results
 from cellapp.commands.runs.request import RunsRequest
 from cellapp.commands.runs.result import (
     ArmFigures,
@@ -33,55 +32,39 @@ from cellapp.commands.runs.result import (
     RunSummary,
     StageSummary,
 )
-from cellapp.commands.stages import RunStages, counted_basis, read_stages
+from cellapp.commands.stages import counted_basis, read_stages
 from cellapp.commands.stored_model import comparable_arms
 from cellapp.estimation.discovery.records import BeforeAfter
 from cellapp.estimation.monitoring.parameter_changes import CalibratedArm, Difference, differences
 from cellapp.ground.errors import CellappError, InputError
 from cellapp.ground.job_client import who_uses
-from cellapp.ground.results import CALIBRATE, DISCOVER, STAGES, VERIFY, Stage, StageName
-
-T = TypeVar("T")
+from cellapp.ground.results import STAGES, ErrorSummary
 
 
-def run_figures(stages: RunStages) -> tuple[dict[str, ArmFigures], dict[StageName, str]]:
-    """Return the figures of each arm, and the unreadable stages with the reason."""
-    unreadable: dict[StageName, str] = {}
-
-    def read(name: StageName, figures: Callable[[Any], T]) -> dict[str, T]:
-        stage = stages.current.get(name)
-        try:
-            return {} if stage is None else {key: figures(arm) for key, arm in json.loads(stage.text)["arms"].items()}
-        except (ValueError, LookupError, TypeError, AttributeError):
-            unreadable[name] = UNREADABLE
-            return {}
-
-    # older versions stored the error with effects in the calibration
-    calibrated = read(CALIBRATE, lambda arm: {**_means(arm), **({} if arm.get("prior") else {"effects": None})})
-    searched = read(DISCOVER, lambda arm: (_means(arm), arm["verdict"], [one["effect"] for one in arm["accepted"]]))
-    verified = read(VERIFY, lambda arm: _before_after(arm["nominal_mm"]["mean"], arm["compensated_mm"]["mean"]))
+def run_figures(results: RunResults) -> dict[str, ArmFigures]:
+    """Return the figures of each arm."""
+    calibrated = {} if results.calibrate is None else results.calibrate.arms
+    searched = {} if results.discover is None else results.discover.arms
+    verified = {} if results.verify is None else results.verify.arms
     figures = {}
     for name in dict.fromkeys((*calibrated, *verified)):
-        found, verdict, effects = searched.get(name, ({}, None, []))
-        errors = {**calibrated.get(name, {}), **({} if DISCOVER in stages.out_of_date else found)}
-        best = next((stage for stage in reversed(STAGES) if errors.get(stage) is not None), None)
+        held_out = calibrated[name].validate_ if name in calibrated else {}
+        best = next((stage for stage in reversed(STAGES) if stage in held_out), None)
+        found, pushed = searched.get(name), verified.get(name)
         figures[name] = ArmFigures(
-            heldout_mm=None if best is None else _before_after(errors.get("geometry"), errors[best]),
+            heldout_mm=_before_after(held_out["geometry"].position_mm, held_out[best].position_mm)
+            if best is not None and "geometry" in held_out
+            else None,
             best_stage=best,
-            verdict=verdict,
-            effects=tuple(dict.fromkeys(effects)),
-            verified_mm=verified.get(name),
+            verdict=None if found is None else found.verdict,
+            effects=() if found is None else tuple(dict.fromkeys(one.effect for one in found.accepted)),
+            verified_mm=None if pushed is None else _before_after(pushed.nominal_mm, pushed.compensated_mm),
         )
-    return figures, unreadable
+    return figures
 
 
-def _means(arm: Any) -> dict[Stage, float | None]:
-    """Return the mean held-out error [mm] of each stage of a stored arm."""
-    return {stage: errors["position_mm"]["mean"] for stage, errors in arm.get("validate", {}).items()}
-
-
-def _before_after(before: float | None, after: float | None) -> BeforeAfter | None:
-    return None if before is None or after is None else BeforeAfter(before=before, after=after)
+def _before_after(before: ErrorSummary, after: ErrorSummary) -> BeforeAfter:
+    return BeforeAfter(before=before.mean, after=after.mean)
 
 
 DEFAULT_FOLDER = Path("logs")
@@ -185,13 +168,12 @@ def _first_words(error: Exception) -> str:
 
 def _summary(run: RunFile, known: RunSummary) -> RunSummary:
     stages, arms, sessions = read_stages(run, counted_basis), arm_states(run), run.sessions()
-    after = next_step(run, stages, arms)
+    results = read_results(run, stages)
+    after = next_step(run, stages, arms, results=results)
     done, total = run.stops_done(), max(run.planned_counts().values(), default=0)
     reserves = run.profile.plan.reserves(total)
     remaining = sum(stop not in done and stop not in reserves for stop in range(total))
     last = _last_session(sessions)
-    figures, unreadable = run_figures(stages)
-    out_of_date = {**stages.out_of_date, **unreadable}
     return RunSummary(
         run=known.run,
         profile=run.profile.name,
@@ -205,10 +187,10 @@ def _summary(run: RunFile, known: RunSummary) -> RunSummary:
         sessions=len(sessions),
         last_session=last,
         stages=tuple(
-            StageSummary(name=name, written=stage.written, out_of_date=out_of_date.get(name))
+            StageSummary(name=name, written=stage.written, out_of_date=results.out_of_date.get(name))
             for name, stage in stages.current.items()
         ),
-        figures=figures,
+        figures=run_figures(results),
         next_verb=after.verb,
         next_step=after.short,
         interrupted=last is not None and last not in _DONE and remaining > 0,

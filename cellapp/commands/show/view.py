@@ -71,7 +71,8 @@ def overview_sentences(state: OverviewResult) -> list[str]:
         sentences.append(f"model in force: that of '{state.in_force}' (calibration.json)")
     if state.stale:
         sentences.append(f"do not use it as it is: {state.stale}")
-    sentences.append(f"next: {state.next_step}" if state.next_step else "next: nothing is left to do")
+    then = f", then 'cellapp {state.next_verb} DIR TARGETS'" if state.next_step == "cellapp docs targets" else ""
+    sentences.append(f"next: {state.next_step}{then}" if state.next_step else "next: nothing is left to do")
     return sentences
 
 

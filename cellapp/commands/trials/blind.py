@@ -30,7 +30,7 @@ from drivers.plant import Plant
 from drivers.plant.plant import Conditions
 
 _DWELLS_S = (1.0, 8.0)
-"""Range of the rest before a measurement [s], drawn log-uniformly."""
+"""Range of the rest before a measurement [s], sampled log-uniformly."""
 _HEAVY_SHARE = 0.8
 """Heavy payload as a share of the rated one."""
 _RATED_KG = {"UR3": 3.0, "UR5": 5.0, "UR10": 10.0}
@@ -57,7 +57,8 @@ class Noise:
 
 
 def with_hidden(profile: Profile, effects: Mapping[str, Mapping[str, Mapping[str, Any]]], seed: int) -> Profile:
-    """Return the profile with other hidden effects (arm -> effect -> parameters) and a true cell drawn by ``seed``."""
+    """Return the profile with other hidden effects (arm -> effect -> parameters) and a true cell sampled by
+    ``seed``."""
     assert profile.plant is not None
     plain = {arm: {slug: dict(values) for slug, values in each.items()} for arm, each in effects.items()}
     settings = profile.plant.model_copy(update={"effects": plain, "seed": seed})
@@ -93,9 +94,9 @@ def blind_readings(
 ) -> dict[str, Readings]:
     """Simulate the readings of all arms at the stops of ``plan``.
 
-    Plain stops (name -> (n, N) [rad]) are visited in an order drawn by ``seed``, straight from stop to stop; a designed
-    plan in its own order and with its approaches. The rest before a measurement varies from 1 to 8 s, the payload
-    alternates in blocks between the profile's and 80 % of the rated one, and joints warm up.
+    Plain stops (name -> (n, N) [rad]) are visited in an order sampled by ``seed``, straight from stop to stop; a
+    designed plan in its own order and with its approaches. The rest before a measurement varies from 1 to 8 s, the
+    payload alternates in blocks between the profile's and 80 % of the rated one, and joints warm up.
     """
     noise = noise or Noise()
     rng = np.random.default_rng([seed, 0xB11D])
@@ -113,14 +114,14 @@ def blind_readings(
         conditions = conditions_at(name, at, step, time_s, dwell_s, loads_kg[name], joints_c, air_c)
         conditions["other_payloads"] = {other: loads_kg[other] for other in loads_kg if other != name}
         exact = plant.smr_positions(name, stopped, **conditions)
-        draw = np.random.default_rng([seed, place, 0x401])
-        points, covariance = plant.measure_positions(exact, draw)
+        noise_rng = np.random.default_rng([seed, place, 0x401])
+        points, covariance = plant.measure_positions(exact, noise_rng)
         if noise.kind == "heavy":
-            points = _heavy_tailed(exact, covariance, draw)
+            points = _heavy_tailed(exact, covariance, noise_rng)
         readings[name] = replace(
             readings_at(q, conditions, points, covariance),
-            temperature_c=air_c + 0.05 * draw.standard_normal(n),
-            joint_temperature_c=np.round(joints_c + 0.1 * draw.standard_normal(q.shape), 2),
+            temperature_c=air_c + 0.05 * noise_rng.standard_normal(n),
+            joint_temperature_c=np.round(joints_c + 0.1 * noise_rng.standard_normal(q.shape), 2),
             **_measured_orientation(profile, plant, name, stopped, conditions, [seed, place, 0x6D]),
         )
     splits, _ = profile_splits(profile, readings)
@@ -184,7 +185,7 @@ def _measured_orientation(
 def _sampled_conditions(
     profile: Profile, n: int, duration_s: float, rng: np.random.Generator
 ) -> tuple[Array, Array, Array]:
-    """Draw times [s], rests before the measurement [s] and air temperatures [degC] of n stops, each (n,)."""
+    """Sample times [s], rests before the measurement [s] and air temperatures [degC] of n stops, each (n,)."""
     time_s = np.sort(rng.uniform(0.0, duration_s, n))
     dwell_s = np.exp(rng.uniform(math.log(_DWELLS_S[0]), math.log(_DWELLS_S[1]), n))
     phases = rng.uniform(0.0, 2.0 * np.pi, len(_AIR_PERIODS_S))
@@ -202,7 +203,7 @@ def _loads_kg(profile: Profile, n: int, blocks: int) -> dict[str, Array]:
 
 
 def _heavy_tailed(exact: Array, covariance: Array, rng: np.random.Generator) -> Array:
-    """Add noise of the given covariance (n, 3, 3) [m^2], drawn from Student's t, to points (n, 3) [m]."""
+    """Add noise of the given covariance (n, 3, 3) [m^2], sampled from Student's t, to points (n, 3) [m]."""
     t = rng.standard_t(4, exact.shape) / np.sqrt(2.0)
     return np.asarray(exact + np.einsum("nab,nb->na", np.linalg.cholesky(covariance), t))
 

@@ -231,24 +231,24 @@ _FOLLOWED = 0.3
 """Share absorbed by geometry from which that is stated as the limit of naming."""
 
 
-def power_at(where: Path, trials: int, seed: int, work: PoolWork, limit: TimeLimit) -> PowerResult:
+def detectability_at(where: Path, trials: int, seed: int, work: PoolWork, limit: TimeLimit) -> DetectabilityResult:
     """Try the stops that a profile would plan, or those that are planned in a run, which keeps the result.
 
-    Raises as ``make_stops`` and ``power_of`` do, and ``InputError`` if the run has no plan.
+    Raises as ``make_stops`` and ``plan_detects`` do, and ``InputError`` if the run has no plan.
     """
     if not where.is_dir():
         profile = load_profile(where)
         stops, _ = make_stops(profile, work.job)
-        return power_of(PlannedCell.of(profile, stops), trials, seed, work, limit)
+        return plan_detects(PlannedCell.of(profile, stops), trials, seed, work, limit)
     with RunFile.open(where, write=True) as run:
         required_plan(run)
-        result = power_of(PlannedCell.of(run.profile, read_planned_stops(run)), trials, seed, work, limit)
-        run.write_result(POWER_RESULT, result.to_json())
+        result = plan_detects(PlannedCell.of(run.profile, read_planned_stops(run)), trials, seed, work, limit)
+        run.write_result(DETECTABILITY_RESULT, result.to_json())
         return result
 
 
-def power_of(planned: PlannedCell, trials: int, seed: int, work: PoolWork, limit: TimeLimit) -> PowerResult:
-    """Make ``trials`` trials of each effect in each arm, in rounds; ``seed`` draws them all.
+def plan_detects(planned: PlannedCell, trials: int, seed: int, work: PoolWork, limit: TimeLimit) -> DetectabilityResult:
+    """Make ``trials`` trials of each effect in each arm, in rounds; ``seed`` samples them all.
 
     The time limit is shared among the effects; the intervals state the remaining uncertainty.
 
@@ -276,8 +276,8 @@ def power_of(planned: PlannedCell, trials: int, seed: int, work: PoolWork, limit
         failed += gathered.failed
         tried = [one.with_trials(asked, gathered.results) for one in tried]
         allowed = limit.allowed((limit.now() - began_s) / len(asked), 2 * len(tried))
-    powers = {(one.arm, one.effect): one.power() for one in tried}
-    return PowerResult(
+    sizes = {(one.arm, one.effect): one.detectability() for one in tried}
+    return DetectabilityResult(
         date=datetime.now(UTC).strftime("%Y-%m-%d"),
         program=f"cellapp {__version__}",
         profile=planned.profile.name,
@@ -285,11 +285,11 @@ def power_of(planned: PlannedCell, trials: int, seed: int, work: PoolWork, limit
         seed=seed,
         share=SHARE,
         arms={
-            name: ArmPower(
+            name: ArmDetectability(
                 stops=len(planned.time_s),
                 noise_rms_mm=cell.noise_rms_mm(name),
                 effects=tuple(
-                    powers.get((arm, effect), EffectPower(effect=effect, title=EFFECTS[effect].title, limit=reason))
+                    sizes.get((arm, effect), Detectability(effect=effect, title=EFFECTS[effect].title, limit=reason))
                     for (arm, effect), reason in lacking.items()
                     if arm == name
                 ),
@@ -352,13 +352,13 @@ class _TriedSize:
         done = [result for result in own if result is not None]
         return replace(self, trials=(*self.trials, *done), failed=self.failed + len(own) - len(done))
 
-    def power(self) -> EffectPower:
+    def detectability(self) -> Detectability:
         """Summarize the trials."""
         low, middle, high = self.belief.size_at(SHARE, _LIMITS)
         largest = max((trial.size_mm for trial in self.trials), default=0.0)
         shown = middle <= largest and any(trial.named for trial in self.trials)
         named = [trial for trial in self.trials if trial.named]
-        return EffectPower(
+        return Detectability(
             effect=self.effect,
             title=EFFECTS[self.effect].title,
             named_from=NamedSize(value_mm=middle, low_mm=low, high_mm=high if np.isfinite(high) else None)
@@ -414,7 +414,7 @@ def _name(slug: str) -> str:
     return "an unknown effect" if slug == UNKNOWN else EFFECTS[slug].title.lower()
 
 
-POWER_RESULT = "plan-power"
+DETECTABILITY_RESULT = "plan-power"
 """Name of the document in a run with the result."""
 SHARE = 0.95
 """Share of the trials in which an effect must be named."""
@@ -448,7 +448,7 @@ class NamedSize(Record):
     high_mm: float | None
 
 
-class EffectPower(Record):
+class Detectability(Record):
     """What the trials say of one effect in one arm.
 
     Attributes
@@ -476,15 +476,15 @@ class EffectPower(Record):
     limit: str = ""
 
 
-class ArmPower(Record):
+class ArmDetectability(Record):
     """One arm: stops, rms length of the tracker's noise [mm], and every effect of the library that it can have."""
 
     stops: int
     noise_rms_mm: float
-    effects: tuple[EffectPower, ...]
+    effects: tuple[Detectability, ...]
 
 
-class PowerResult(Result, schema="cellapp-plan-power"):
+class DetectabilityResult(Result, schema="cellapp-plan-power"):
     """``trials power``: arms, every trial, what failed, and whether the time ended it before all trials were made."""
 
     date: str
@@ -493,27 +493,27 @@ class PowerResult(Result, schema="cellapp-plan-power"):
     trials_of_each: int
     seed: int
     share: float
-    arms: Mapping[str, ArmPower]
+    arms: Mapping[str, ArmDetectability]
     trials: tuple[NamingTrial, ...]
     failed: tuple[str, ...] = ()
     ended_by_time: bool = False
 
 
-def stored_power(run: RunFile) -> PowerResult | None:
+def stored_detectability(run: RunFile) -> DetectabilityResult | None:
     """Return the stored result of a run; None if its plan was not tried."""
-    text = run.read_result(POWER_RESULT)
-    return None if text is None else PowerResult.from_json(text, str(run.folder))
+    text = run.read_result(DETECTABILITY_RESULT)
+    return None if text is None else DetectabilityResult.from_json(text, str(run.folder))
 
 
-def power_parts(result: PowerResult) -> Parts:
+def detectability_parts(result: DetectabilityResult) -> Parts:
     """Show what the plan would name: the method, then a table and a chart for each arm."""
-    parts: list[str | Table | Chart] = [power_sentence(result)]
+    parts: list[str | Table | Chart] = [detectability_sentence(result)]
     for name, arm in result.arms.items():
-        parts += [power_chart(name, arm), power_table(name, arm)]
+        parts += [detectability_chart(name, arm), detectability_table(name, arm)]
     return [*parts, *(f"not computed: {one}" for one in result.failed[:10])]
 
 
-def power_sentence(result: PowerResult) -> str:
+def detectability_sentence(result: DetectabilityResult) -> str:
     """Say what was tried, in one sentence."""
     ended = f"; the time ended them before all {result.trials_of_each} of each" if result.ended_by_time else ""
     return (
@@ -522,7 +522,7 @@ def power_sentence(result: PowerResult) -> str:
     )
 
 
-def power_table(name: str, arm: ArmPower) -> Table:
+def detectability_table(name: str, arm: ArmDetectability) -> Table:
     """Show every effect of an arm; those named from the smallest sizes first."""
     return table_of(
         f"Arm {name}: {counted(arm.stops, 'stop')}, noise {arm.noise_rms_mm:.3f} mm rms",
@@ -538,7 +538,7 @@ def power_table(name: str, arm: ArmPower) -> Table:
     )
 
 
-def power_chart(name: str, arm: ArmPower) -> Chart:
+def detectability_chart(name: str, arm: ArmDetectability) -> Chart:
     """Show a bar for each effect that is named from some size on."""
     shown = {one.title: one.named_from for one in _ordered(arm) if one.named_from is not None}
     bars = {title: (size.value_mm, _words(size)) for title, size in shown.items()}
@@ -554,11 +554,11 @@ def power_chart(name: str, arm: ArmPower) -> Chart:
 # -- inside -----------------------------------------------------------------------------------------------------------
 
 
-def _ordered(arm: ArmPower) -> list[EffectPower]:
+def _ordered(arm: ArmDetectability) -> list[Detectability]:
     return sorted(arm.effects, key=lambda one: math.inf if one.named_from is None else one.named_from.value_mm)
 
 
-def _interval(one: EffectPower) -> Interval | str | None:
+def _interval(one: Detectability) -> Interval | str | None:
     if one.named_from is None:
         return None
     low, high = one.named_from.low_mm, one.named_from.high_mm

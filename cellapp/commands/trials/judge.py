@@ -213,7 +213,7 @@ def judge_run(folder: Path, source: str) -> None:
             arms[name] = StoredFindings(
                 seconds=time.perf_counter() - wall_s,
                 cpu_seconds=time.process_time() - cpu_s,
-                # without pictures: they are large, and 'discover' draws them again
+                # without pictures: they are large, and 'discover' makes them again
                 discovery=found.result.model_copy(update={"pictures": ()}),
             )
         stored = StoredTrial(
@@ -288,7 +288,7 @@ def _compare(
 
 
 def _findings(stored: StoredFindings, drawn_um: float) -> ArmFindings:
-    """Return the findings in an arm, with the rms length of the noise drawn at its held-out stops [µm]."""
+    """Return the findings in an arm, with the rms length of the noise sampled at its held-out stops [µm]."""
     found = stored.discovery
     return ArmFindings(
         accepted=tuple(effect.effect for effect in found.accepted),

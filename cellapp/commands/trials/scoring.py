@@ -85,7 +85,7 @@ USUAL_S, SLOWEST_S = 1.0, 5.0
 ENOUGH_CLEAN = 300
 """Least arms without effects to confirm a rate of 1 %: 3 false alarms are expected at that rate."""
 _ONE, _SEVERAL, _OUTSIDE, _SECOND = 34, 13, 20, 50
-"""Least trials for a bar to count: it then still tolerates one miss."""
+"""Least trials for a limit to count: it then still tolerates one miss."""
 _BRIER = 0.05
 _STATEMENTS = 100
 """Least stated probabilities for their Brier score to count."""
@@ -188,9 +188,9 @@ def _brier(score: PosteriorScore) -> TargetScore:
     )
 
 
-def _at_least(kind: str, what: str, wanted: float, hits: Sequence[bool], bar_from: int = 0) -> TargetScore | None:
-    """Return a target with a least share; a bar from ``bar_from`` trials on, if given."""
-    return _target(kind, what, wanted, hits, at_most=False, trials_wanted=max(bar_from, 1), bar=bar_from > 0)
+def _at_least(kind: str, what: str, wanted: float, hits: Sequence[bool], limit_from: int = 0) -> TargetScore | None:
+    """Return a target with a least share; a limit from ``limit_from`` trials on, if given."""
+    return _target(kind, what, wanted, hits, at_most=False, trials_wanted=max(limit_from, 1), bar=limit_from > 0)
 
 
 def _at_most(
@@ -364,7 +364,7 @@ class Spread(Record):
 
 
 class NoiseLengths(Record):
-    """Rms length of the noise that the search assumed, and of the noise really drawn at the held-out stops [µm].
+    """Rms length of the noise that the search assumed, and of the noise really sampled at the held-out stops [µm].
 
     ``stated`` is None where the search had no number for it.
     """
@@ -419,7 +419,7 @@ class ArmFindings(Record):
 
     @property
     def to_drawn(self) -> float:
-        """Held-out rms over that of the noise really drawn at those stops."""
+        """Held-out rms over that of the noise really sampled at those stops."""
         return self.heldout_um.after / self.noise_um.drawn
 
     @property
@@ -464,7 +464,7 @@ class ScoredRun(Record):
 
 
 class EndState(Record):
-    """Held-out error against drawn and assumed noise, and number of each verdict."""
+    """Held-out error against sampled and assumed noise, and number of each verdict."""
 
     heldout_to_drawn: Spread | None
     verdicts: Mapping[str, int]
@@ -537,7 +537,7 @@ class TargetScore(Record):
 
     @property
     def missed(self) -> bool:
-        """Whether a bar was missed in enough trials to say so."""
+        """Whether a limit was missed in enough trials to say so."""
         return self.bar and self.met is False and self.n >= self.trials_wanted
 
 
@@ -589,7 +589,7 @@ class Scores(Record):
 
     @property
     def missed(self) -> tuple[TargetScore, ...]:
-        """Bars that were missed in enough trials to say so."""
+        """Limits that were missed in enough trials to say so."""
         return tuple(target for target in self.targets if target.missed)
 
 
@@ -664,7 +664,7 @@ def _target_table(targets: Sequence[TargetScore]) -> Table:
         ("wanted", _wanted),
         ("reached", lambda one: f"{one.n} statements" if one.reached is None else f"{one.reached} of {one.n}"),
         ("share", lambda one: Number(one.share, 3) if one.reached is None else Number(100 * one.share, 1, "%")),
-        ("", lambda one: "bar" if one.bar else ""),
+        ("", lambda one: "limit" if one.bar else ""),
         ("met", lambda one: {True: "yes", False: "MISSED" if one.missed else "no", None: "too few"}[one.met]),
     )
 

@@ -89,8 +89,8 @@ class GroundTruth(Record):
     arm : str
         The arm with the effects; empty where nothing is hidden.
     noise_um, held_out_um : mapping
-        Arm -> rms length [µm] of the stated noise, and of the error that was really drawn at the stops of its validate
-        split.
+        Arm -> rms length [µm] of the stated noise, and of the error that was really sampled at the stops of its
+        validate split.
     expected : DescribedTerm or None
         For a law that the library lacks.
     readings : str
@@ -147,7 +147,7 @@ def seal_trials(
 ) -> SealResult:
     """Write ``n`` sealed runs into a new folder, under the conditions of ``setup``.
 
-    Without ``seed`` a seed is drawn; only ``truth.json`` states it.
+    Without ``seed`` a seed is sampled; only ``truth.json`` states it.
 
     Raises
     ------
@@ -301,7 +301,7 @@ class _Plan:
 class _HiddenCell:
     """The simulated cell of one run, with effects in one arm; ``plan`` and ``noise_seed`` are as in ``blind_readings``.
 
-    ``plant_seed`` draws the true geometry, ``split_seed`` the splits.
+    ``plant_seed`` samples the true geometry, ``split_seed`` the splits.
     """
 
     profile: Profile
@@ -363,12 +363,12 @@ def _write_run(
 def _sampled_parameters(
     profile: Profile, case: Case, setup: Setup, rng: np.random.Generator
 ) -> dict[str, dict[str, Any]]:
-    """Draw the parameters of every effect of a case for its arm."""
+    """Sample the parameters of every effect of a case for its arm."""
     if not case.slugs:
         return {}
     config = next(arm for arm in build_plant(profile).config.arms if arm.name == case.arm)
-    draw = suggest_other_law if (setup.laws == "other" and case.kind != OUT) or case.kind == HARD else suggest
-    return {slug: draw(slug, rng, config, DURATION_S) for slug in case.slugs}
+    sample = suggest_other_law if (setup.laws == "other" and case.kind != OUT) or case.kind == HARD else suggest
+    return {slug: sample(slug, rng, config, DURATION_S) for slug in case.slugs}
 
 
 def _hidden_laws(cell: _HiddenCell, parameters: _Effects, with_all: Mapping[str, Readings]) -> tuple[HiddenLaw, ...]:

@@ -166,7 +166,7 @@ class Setup(Record):
     stops : int or None
         Stops of each run, in place of the profile's.
     ranges : str
-        full; narrow: each joint moves over 10 to 50 degrees about a drawn centre.
+        full; narrow: each joint moves over 10 to 50 degrees about a sampled centre.
     stated : bool
         Whether readings state their uncertainty.
     plan_method : str
@@ -219,7 +219,7 @@ class Setup(Record):
         return profile.model_copy(update=changes)
 
     def plan(self, profile: Profile, seed: int, job: JobToken) -> Mapping[str, Array] | PlannedStops:
-        """Return stops of all arms, drawn or designed by ``seed``. Raises ``InputError`` if none are found."""
+        """Return stops of all arms, sampled or designed by ``seed``. Raises ``InputError`` if none are found."""
         if self.ranges == "full":
             if self.plan_method == "random":
                 return plan_stops(profile.model_copy(update={"seed": seed}), job=job)

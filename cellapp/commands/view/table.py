@@ -118,14 +118,14 @@ Field: TypeAlias = tuple[str, Source] | tuple[str, Source, str] | tuple[str, Sou
 """A column: heading, source of its cells, and for numbers their format and unit. Shares are shown in %."""
 
 
-def table_of(title: str, rows: Iterable[Any], *fields: Field, count: int | None = None) -> Table:
-    """Build a table with a row for each object; ``count`` is their total number if ``rows`` are only some of them."""
+def table_of(title: str, rows: Iterable[Any], *fields: Field) -> Table:
+    """Build a table with a row for each object."""
     columns = tuple(number_column(one[0], *one[2:]) if len(one) > 2 else Column(one[0]) for one in fields)
     sources = [attrgetter(one[1]) if isinstance(one[1], str) else one[1] for one in fields]
     cells = tuple(
         tuple(_shown(source(row), column.unit) for column, source in zip(columns, sources, strict=True)) for row in rows
     )
-    return Table(title if count is None else part_title(title, len(cells), count), columns, cells)
+    return Table(title, columns, cells)
 
 
 def with_rows(*tables: Table) -> list[Table]:
@@ -137,22 +137,21 @@ def _shown(value: Any, unit: str) -> Any:
     return 100.0 * value if unit == "%" and isinstance(value, float) else value
 
 
-def most_urgent(rows: Sequence[R], urgency: Callable[[R], float]) -> list[R]:
-    """Return at most ``MOST_ROWS`` rows, those with the largest urgency, in their original order."""
-    if len(rows) <= MOST_ROWS:
-        return list(rows)
+def urgent_rows(
+    title: str, rows: Sequence[R], *fields: Field, urgency: Callable[[R], float] = lambda row: 0.0
+) -> list[Table]:
+    """Show at most ``MOST_ROWS`` rows, those with the largest urgency in their order; without columns that are empty.
+
+    No table without rows.
+    """
     chosen = sorted(range(len(rows)), key=lambda row: (-urgency(rows[row]), row))[:MOST_ROWS]
-    return [rows[row] for row in sorted(chosen)]
+    whole = part_title(title, len(chosen), len(rows))
+    return with_rows(without_empty(table_of(whole, [rows[row] for row in sorted(chosen)], *fields)))
 
 
 def part_title(title: str, shown: int, count: int) -> str:
     """Return the title of a table of some of ``count`` rows; it says if rows are missing."""
     return title if shown == count else f"{title}: {shown} of {count}, --json has all"
-
-
-def part_table(title: str, columns: tuple[Column, ...], rows: Sequence[tuple[Cell, ...]], count: int) -> Table:
-    """Build a table of some of ``count`` rows."""
-    return Table(part_title(title, len(rows), count), columns, tuple(rows))
 
 
 def without_empty(table: Table) -> Table:

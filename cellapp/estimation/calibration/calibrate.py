@@ -243,10 +243,10 @@ def sample_splits(
     seed: int,
     first: Mapping[int, int] = MappingProxyType({}),
 ) -> tuple[dict[int, str | None], tuple[str, ...]]:
-    """Draw a split for each configuration number; stops beyond the required ones get None. Return splits and notes.
+    """Sample a split for each configuration number; stops beyond the required ones get None. Return splits and notes.
 
-    The draw depends on the set of numbers and the seed, not on the order of ``configurations``. Stops that are not to
-    be divided have the same ``first`` one among them, which is drawn for all.
+    The sample depends on the set of numbers and the seed, not on the order of ``configurations``. Stops that are not to
+    be divided have the same ``first`` one among them, which is sampled for all.
     """
     numbers = np.unique(configurations)
     sizes = split_sizes(len(numbers), identify, train, validate)
@@ -481,7 +481,7 @@ def provenance_of(profile: Profile) -> Provenance:
 def missing_splits(
     profile: Profile, readings: Mapping[str, Readings]
 ) -> tuple[dict[str, tuple[str | None, ...]], tuple[str, ...]]:
-    """Draw splits if no reading has one yet; return them with notes, both empty if some readings have a split."""
+    """Sample splits if no reading has one yet; return them with notes, both empty if some readings have a split."""
     if any(word is not None for arm in readings.values() for word in arm.split or ()):
         return {}, ()
     return profile_splits(profile, readings)
@@ -490,7 +490,7 @@ def missing_splits(
 def profile_splits(
     profile: Profile, readings: Mapping[str, Readings]
 ) -> tuple[dict[str, tuple[str | None, ...]], tuple[str, ...]]:
-    """Draw a split for each reading by the profile's seed, the same for all arms at a stop and for stops that are not
+    """Sample a split for each reading by the profile's seed, the same for all arms at a stop and for stops that are not
     to be divided (``undivided``); return splits and notes."""
     splits = profile.splits
     first, notes = first_stops(readings)
@@ -597,11 +597,11 @@ def _network_notes(name: str, arm: ArmCalibration) -> list[str]:
     with_network, without = (arm.validate[stage].position_mm.rms for stage in ("network", "geometry"))
     if with_network < without:
         return []
-    left_out, before = (1e3 * value for value in (arm.training.left_out_rms, arm.training.without_rms))
+    its = arm.training.result
     return [
         f"arm '{name}': the network is in force, as it predicts left-out configurations of the learnt ones better"
-        f" ({left_out:.4f} mm rms, without it {before:.4f}), but not the held-out ones ({with_network:.4f} mm rms,"
-        f" geometry {without:.4f}): '--network none' calibrates without it"
+        f" ({its.left_out_rms_mm:.4f} mm rms, without it {its.without_rms_mm:.4f}), but not the held-out ones"
+        f" ({with_network:.4f} mm rms, geometry {without:.4f}): '--network none' calibrates without it"
     ]
 
 
@@ -702,8 +702,8 @@ def train_arm(profile: Profile, arm: ArmCalibration, readings: Readings, steps: 
         return arm
     done = learning_steps(profile.network)
     rotations = JobSteps(lambda _, words: steps(done, f"rotations: {words}"), steps.job)
-    turning = rotation_network(profile, arm.model, measured_quantities(taught), rotations)
-    arm = replace(arm, model=replace(arm.model, network=replace(arm.model.network, rotation=turning)))
+    rotations_net = rotation_network(profile, arm.model, measured_quantities(taught), rotations)
+    arm = replace(arm, model=replace(arm.model, network=replace(arm.model.network, rotation=rotations_net)))
     its = measured_quantities(held_out)
     errors = evaluate_quantities(its, arm.model.predict(its.readings.q, conditions=its.conditions))
     return replace(arm, validate={**arm.validate, "network": errors})

@@ -97,10 +97,8 @@ class Identification:
         Values with the merged parameters at nominal and the same predictions.
     covariance : array, shape (k, k)
         Of the values, scaled by the scatter of the residuals (``scale``) unless effects have priors.
-    effect_values : array, shape (m,)
-        The last m of ``values``.
-    iterations : int
-        Number of steps computed.
+    mean, precision : array, shape (K + m,)
+        Of the priors; a parameter that is held at a bound has its value there and ``FIXED_SD``.
     converged : bool
     message : str
         Why the iteration ended.
@@ -136,8 +134,8 @@ class Identification:
     units: tuple[str, ...]
     values: Array
     covariance: Array
-    effect_values: Array
-    iterations: int
+    mean: Array = field(repr=False)
+    precision: Array = field(repr=False)
     converged: bool
     message: str
     scale: float
@@ -161,6 +159,16 @@ class Identification:
     def standard_errors(self) -> Array:
         """Standard errors (k,) of the values."""
         return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+
+    @property
+    def iterations(self) -> int:
+        """Number of steps computed."""
+        return len(self.steps)
+
+    @property
+    def effect_values(self) -> Array:
+        """The last m of ``values`` (m,)."""
+        return self.values[len(self.parameter_set.columns) :]
 
     @property
     def positions(self) -> slice | NDArray[np.bool_]:
@@ -383,20 +391,15 @@ class _Problem:
 
     def result(self, minimum: Minimum[FitPoint]) -> Identification:
         """Return the identification; parameters at their bounds are held there."""
-        point = minimum.point
-        if self.limits is None:
-            return self._result(minimum)
-        held = np.any(np.abs(self.limits - point.values) < AT_BOUND, axis=0)
-        mean = np.where(held, point.values, self.mean)
-        precision, own = (np.where(held, FIXED_SD**-2, its) for its in (self.precision, point.precision))
-        here = replace(minimum, point=replace(point, precision=own))
-        found = replace(self, precision=precision, mean=mean)._result(here)
-        return replace(found, prior_sigma=sigma_by_name(self.parameters.names, point.precision))
-
-    def _result(self, minimum: Minimum[FitPoint]) -> Identification:
         point, effects = minimum.point, self.observations.effects
         normal, n = point.normal, self.observations.count
-        geometry, effect_values = split_values(self.start, self.parameters, point.values)
+        limits = np.full((2, 1), math.inf) if self.limits is None else self.limits
+        held = np.any(np.abs(limits - point.values) < AT_BOUND, axis=0)
+        prior_sigma = sigma_by_name(self.parameters.names, point.precision)
+        mean = np.where(held, point.values, self.mean)
+        precision, own = (np.where(held, FIXED_SD**-2, its) for its in (self.precision, point.precision))
+        point = replace(point, precision=own)
+        geometry, _ = split_values(self.start, self.parameters, point.values)
         covariance = point.covariance(1.0) if self.sigma_is_exact else None
         by_priors = point.by_priors if covariance is None else point.precision * np.diag(covariance)
         freedom = self._degrees_of_freedom(point, by_priors)
@@ -405,7 +408,7 @@ class _Problem:
             covariance = point.covariance(variance)
         chosen, size = self.parameters, len(self.parameters.columns)
         if self.tabulated:
-            chosen = determined_set(chosen, normal.A[:size, :size] / point.variance, sds_of(self.precision[:size]))
+            chosen = determined_set(chosen, normal.A[:size, :size] / point.variance, sds_of(precision[:size]))
         to_table, kept = chosen.from_estimated(self.parameters)
         in_table = covariance if chosen is self.parameters else _in_table(_in_table(covariance, to_table).T, to_table)
         gram = normal.gram[kept[:, None], kept]
@@ -415,14 +418,14 @@ class _Problem:
             geometry=geometry,
             estimated=self.parameters,
             estimated_covariance=covariance,
-            prior_sigma=sigma_by_name(self.parameters.names, point.precision),
+            prior_sigma=prior_sigma,
             parameter_set=chosen,
             names=chosen.names + (() if effects is None else effects.names),
             units=chosen.units + (() if effects is None else effects.units),
-            values=_in_table(point.values - self.mean, to_table) + np.concatenate([self.mean[kept], self.mean[size:]]),
+            values=_in_table(point.values - mean, to_table) + np.concatenate([mean[kept], mean[size:]]),
             covariance=in_table,
-            effect_values=effect_values,
-            iterations=len(minimum.steps),
+            mean=mean,
+            precision=precision,
             converged=minimum.converged,
             message=minimum.message,
             scale=math.sqrt(variance),
@@ -607,7 +610,7 @@ def _rounds(
             break
         earlier, weighed = found, with_excess(sigma, excess[0], found.angular, excess[1])
         found = fit(earlier.geometry, sigma=weighed, parameter_set=parameter_set)
-        found = replace(found, iterations=earlier.iterations + found.iterations, steps=(*earlier.steps, *found.steps))
+        found = replace(found, steps=(*earlier.steps, *found.steps))
     return replace(found, excess_rad=math.sqrt(excess[1])), math.sqrt(excess[0])
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.least_squares import inverse_diagonal, solve_psd
-from cellapp.estimation.calibration.records import BatchesResult
+from cellapp.estimation.calibration.records import BatchesResult, NetworkResult, NetworkTrial
 from cellapp.estimation.readings.readings import Groups, folds_of, repeats, undivided
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Network
@@ -64,7 +64,7 @@ class Perceptron:
         return self.hidden * (self.inputs + 1), self.outputs * (self.hidden + 1)
 
     def start(self, rng: np.random.Generator) -> Array:
-        """Draw random parameters that give signals of scale ``_BENT`` to the hidden layer, about 1 to the outputs."""
+        """Sample random parameters that give signals of scale ``_BENT`` to the hidden layer, about 1 to the outputs."""
         scales = np.repeat([_BENT * (self.inputs + 1) ** -0.5, (self.hidden + 1) ** -0.5], self.sizes)
         return np.asarray(rng.standard_normal(sum(self.sizes)) * scales)
 
@@ -148,6 +148,11 @@ class NetForm:
     hidden: int
     rotates_with_joint_1: bool = False
 
+    def trial(self, left_out_rms_m: float) -> NetworkTrial:
+        """State the network and its error on left-out folds."""
+        turning, error_mm = self.rotates_with_joint_1, left_out_rms_m * 1e3
+        return NetworkTrial(inputs=self.inputs, hidden=(self.hidden,), turning=turning, left_out_rms_mm=error_mm)
+
 
 _READINGS_A_UNIT = 16
 """Readings per hidden unit: an arm of 6 joints then has 3 measured coordinates for each parameter."""
@@ -183,21 +188,14 @@ class Training:
         None if the best candidate predicts left-out folds no better than none, by ``WORTH`` and a standard error.
     shape : NetForm
         The best candidate.
-    left_out_rms, without_rms : float
-        Rms length of the residual on left-out folds, with the best candidate and without a network [m]. The readings
-        of one half of a fold are predicted by the member that predicted the other half best.
-    tried : tuple
-        (shape, left-out rms [m]) of every candidate at the time of the comparison.
-    batches : BatchesResult or None
-        Comparison with a training from all readings; None if none was requested.
+    result : NetworkResult
+        With the rms lengths of the residual on left-out folds: the readings of one half of a fold are predicted by the
+        member that predicted the other half best. ``tried`` are those of every candidate when they were compared.
     """
 
     network: ResidualNetwork | None
     shape: NetForm
-    left_out_rms: float
-    without_rms: float
-    tried: tuple[tuple[NetForm, float], ...]
-    batches: BatchesResult | None = None
+    result: NetworkResult
 
 
 def train_network(
@@ -210,7 +208,7 @@ def train_network(
     shapes: Sequence[NetForm] | None = None,
     fold: NDArray[np.int64] | None = None,
 ) -> Training:
-    """Train a residual network on at most ``_MOST_READINGS`` readings; draw them by ``seed`` if there are more.
+    """Train a residual network on at most ``_MOST_READINGS`` readings; sample them by ``seed`` if there are more.
 
     Parameters
     ----------
@@ -226,7 +224,7 @@ def train_network(
     shapes : sequence of NetForm, optional
         Candidates; the default depends on the number of readings.
     fold : array of int, shape (n,), optional
-        Fold of each reading; drawn by ``seed`` if not given.
+        Fold of each reading; sampled by ``seed`` if not given.
     """
     shapes = candidate_shapes(len(q)) if shapes is None else shapes
     low, high = q.min(axis=0), q.max(axis=0)
@@ -236,8 +234,8 @@ def train_network(
     scale = max(float(np.sqrt(np.mean(residual**2))), 1e-12)
     group = undivided(q)
     if group.max() + 1 < 2 * network.folds:
-        rms = float(np.sqrt(np.mean(np.sum(residual**2, axis=1))))
-        return Training(network=None, shape=shapes[0], left_out_rms=rms, without_rms=rms, tried=())
+        none = shapes[0].trial(_rms_length(residual))
+        return Training(None, shapes[0], NetworkResult.like(none, used=False, without_rms_mm=none.left_out_rms_mm))
     fold = folds_of(group, network.folds, np.random.default_rng([seed, 0xF01D])) if fold is None else fold
     outputs = {False: residual / scale, True: rotate_about_z(residual / scale, -q[:, 0])}
     inputs = {kind: network_inputs(kind, low, high, q) for kind in {shape.inputs for shape in shapes}}
@@ -248,7 +246,7 @@ def train_network(
     for number, candidate in enumerate(candidates if len(shapes) > 1 else ()):
         steps(number, f"network {number + 1} of {len(shapes)}")
         candidate.train(_SCREENED, min(_SCREENING, network.iterations), steps)
-    tried = tuple((candidate.shape, candidate.left_out() * scale) for candidate in candidates if candidate.members)
+    tried = tuple(candidate.shape.trial(candidate.left_out() * scale) for candidate in candidates if candidate.members)
     committee = min(candidates, key=_Committee.left_out) if len(shapes) > 1 else candidates[0]
     steps(len(shapes), "best network")
     committee.train(int(fold.max()) + 1, network.iterations, steps)
@@ -259,13 +257,13 @@ def train_network(
     margin = MARGIN * np.maximum(high - low, 1e-3)
     members = tuple(committee.net.layers(member.best) for member in committee.members)
     found = ResidualNetwork(shape.inputs, low, high, margin, shape.rotates_with_joint_1, scale, members)
-    return Training(
-        network=found if left_out < WORTH * without and standard_errors(of_none - squares, group) > 1.0 else None,
-        shape=shape,
-        left_out_rms=left_out * scale,
-        without_rms=without * scale,
-        tried=tried,
-    )
+    used, own = left_out < WORTH * without and standard_errors(of_none - squares, group) > 1.0, left_out * scale
+    result = NetworkResult.like(shape.trial(own), used=used, without_rms_mm=without * scale * 1e3, tried=tried)
+    return Training(found if used else None, shape, result)
+
+
+def _rms_length(residual: Array) -> float:
+    return float(np.sqrt(np.mean(np.sum(residual**2, axis=1))))
 
 
 def standard_errors(gain: Array, group: Groups) -> float:
@@ -467,8 +465,8 @@ def _in_batches(
     x = network_inputs("both", low, high, q)
     y = rotate_about_z(residual / scale, -q[:, 0]) if rotates else residual / scale
     known = _known_layers(committee, q.shape[1], int(fold.max()) + 1, scale)
-    left = np.stack([y - (np.tanh(x @ W.T + b) @ V.T + c) for (W, b), (V, c) in known])
-    added, device = train_members(x, left, fold, seed=seed, steps=steps.after(training_steps(), f"{len(q)} readings"))
+    misfit = np.stack([y - (np.tanh(x @ W.T + b) @ V.T + c) for (W, b), (V, c) in known])
+    added, device = train_members(x, misfit, fold, seed=seed, steps=steps.after(training_steps(), f"{len(q)} readings"))
     members = tuple(_beside(first, second) for first, second in zip(known, added, strict=True))
     return ResidualNetwork("both", low, high, MARGIN * np.maximum(high - low, 1e-3), rotates, scale, members), device
 
@@ -531,10 +529,12 @@ def _better(
         committee_rms_mm=other * 1e3,
         sigmas=sigmas,
     )
+    result = committee.result.model_copy(update={"batches": batches})
     if not used:
-        return replace(committee, batches=batches)
-    without = float(np.sqrt(np.mean(np.sum(residual**2, axis=1))))
-    return replace(committee, network=of_all, left_out_rms=own, without_rms=without, batches=batches)
+        return replace(committee, result=result)
+    of_network = {"inputs": of_all.inputs, "hidden": HIDDEN, "left_out_rms_mm": own * 1e3}
+    result = result.model_copy(update={"used": True, "without_rms_mm": _rms_length(residual) * 1e3, **of_network})
+    return replace(committee, network=of_all, result=result)
 
 
 def _left_out_squares(network: ResidualNetwork | None, q: Array, residual: Array, fold: NDArray[np.int64]) -> Array:
@@ -552,7 +552,7 @@ def _left_out_squares(network: ResidualNetwork | None, q: Array, residual: Array
 # The committee above solves normal equations, whose time limits it to some thousand readings; its
 # evidence and its few units generalise well to configurations that were never measured. Training in batches starts from
 # it: each member of the committee gets two more hidden layers that learn its residuals, by Adam (Kingma, Ba, ICLR 2015)
-# from batches drawn from all readings outside its fold. They start at zero correction and keep the weights that
+# from batches sampled from all readings outside its fold. They start at zero correction and keep the weights that
 # predicted the fold best. The learning rate falls along a cosine to zero. The number of steps is bounded: a million
 # readings take hardly longer than a hundred thousand.
 #

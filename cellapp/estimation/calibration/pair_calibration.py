@@ -18,15 +18,20 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.identification import TooFewReadings
 from cellapp.estimation.calibration.least_squares import LeastSquares, inverse_psd
-from cellapp.estimation.calibration.quantities import measured_orientations, measurement_conditions, position_errors
+from cellapp.estimation.calibration.quantities import (
+    measured_orientations,
+    measurement_conditions,
+    position_errors,
+    summarise,
+)
+from cellapp.estimation.calibration.records import PairEstimate, PairHeldOut, PairMethodResult
 from cellapp.estimation.readings import Readings
 from cellapp.ground.counting import counted
 from cellapp.ground.profile import Profile
-from cellapp.ground.results import BEST_METHODS, Method
+from cellapp.ground.results import BEST_METHODS, ErrorSummary, Method
 from cellapp.robot.kinematics.chain import Geometry, probe_rotations, smr_positions
 from cellapp.robot.kinematics.transforms import (
     Array,
@@ -182,44 +187,16 @@ def relative_rotations(readings: Sequence[Readings], R_B_S: Sequence[Array]) -> 
 
 
 @dataclass(frozen=True)
-class PairMethod:
-    """Results of one method on the held-out stops, with both inter-base transforms.
-
-    ``errors`` maps each transform to the signed distance errors (n,) [m], measured minus computed, ``rotated`` to the
-    angles (k,) [rad] between the measured and the computed relative rotation at the stops where both probes were
-    measured, empty without; ``position_errors`` maps each arm to the absolute errors (n,) [m] at the same stops, with
-    the bases from the arms' calibration.
-    """
-
-    identification: PairIdentification
-    T_R_L_tracker: Array
-    errors: Mapping[str, Array]
-    rotated: Mapping[str, Array]
-    position_errors: Mapping[str, Array]
-
-
-@dataclass(frozen=True)
 class PairCalibration:
-    """Calibration of the pair by method.
+    """Calibration of the pair by method, with the transforms (4, 4) that the profile selects."""
 
-    ``chosen`` is the transform that the profile selects, ``distances`` or ``tracker``. ``stops`` (n,) are the numbers
-    of the held-out configurations in the order of each method's errors.
-    """
-
-    methods: Mapping[Method, PairMethod]
-    chosen: str
-    counts: Mapping[str, int]
-    stops: NDArray[np.int64]
-
-    @property
-    def best(self) -> PairMethod:
-        """Best available method."""
-        return self.methods[next(name for name in BEST_METHODS if name in self.methods)]
+    methods: Mapping[Method, PairMethodResult]
+    transforms: Mapping[Method, Array]
 
     @property
     def T_R_L(self) -> Array:
-        """Selected transform of the best available method, shape (4, 4)."""
-        return self.best.T_R_L_tracker if self.chosen == "tracker" else self.best.identification.T_R_L
+        """Transform of the best available method, shape (4, 4)."""
+        return next(self.transforms[name] for name in BEST_METHODS if name in self.transforms)
 
 
 def common_stops(first: Readings, second: Readings) -> tuple[Readings, Readings]:
@@ -229,7 +206,7 @@ def common_stops(first: Readings, second: Readings) -> tuple[Readings, Readings]
 
 
 def pair_stops(profile: Profile, left: Readings) -> tuple[np.ndarray, np.ndarray]:
-    """Draw the rows of the common stops that identify and that validate the pair, by the profile's seed.
+    """Sample the rows of the common stops that identify and that validate the pair, by the profile's seed.
 
     The validation rows come from the arms' validate split, so that no reading is used for both.
     """
@@ -275,7 +252,7 @@ def calibrate_pair(
     measured = np.linalg.norm(left.p_M - right.p_M, axis=1)
     models = [arms[name] for name in readings]
     start = np.asarray(invert(models[1].geometry.T_M_B()) @ models[0].geometry.T_M_B())
-    methods: dict[Method, PairMethod] = {}
+    methods, transforms = dict[Method, PairMethodResult](), dict[Method, Array]()
     for name, poses in _poses(both, models, [in_tracker.get(name) for name in readings]).items():
         positions = [p_B for p_B, _ in poses]
         R_R_L = relative_rotations(both, [R_B_S for _, R_B_S in poses])
@@ -293,23 +270,60 @@ def calibrate_pair(
         p_L, p_R = positions[0][held_out], positions[1][held_out]
         errors = {key: measured[held_out] - distances(T, p_L, p_R) for key, T in by.items()}
         rotations = R_R_L[held_out[seen[held_out]]]
+        rotated = {
+            key: summarise(np.linalg.norm(rotation_vectors(rotations @ T[:3, :3].T), axis=1))
+            for key, T in by.items()
+            if len(rotations) and found.scale_rad is not None
+        }
         bases = [(model.nominal if name == "nominal" else model.geometry).T_M_B() for model in models]
-        methods[name] = PairMethod(
-            identification=found,
-            T_R_L_tracker=by["tracker"],
-            errors=errors,
-            rotated={
-                key: np.linalg.norm(rotation_vectors(rotations @ T[:3, :3].T), axis=1)
-                for key, T in by.items()
-                if len(rotations) and found.scale_rad is not None
-            },
-            position_errors={
-                arm: position_errors(r.p_M[held_out], apply(T_M_B, p[held_out]))
+        stops = PairHeldOut(
+            configuration=tuple(left.configuration[held_out].tolist()),
+            cooperative_mm=_mm(np.abs(errors[profile.pair.transform])),
+            position_mm={
+                arm: _mm(position_errors(r.p_M[held_out], apply(T_M_B, p[held_out])))
                 for arm, r, T_M_B, p in zip(readings, both, bases, positions, strict=True)
             },
         )
-    counts = {"identify": len(learn), "validate": len(held_out)}
-    return PairCalibration(methods, profile.pair.transform, counts, left.configuration[held_out]), notes
+        counts = {"identify": len(learn), "validate": len(held_out)}
+        methods[name] = _result(found, by["tracker"], profile.pair.transform, errors, rotated, stops, counts)
+        transforms[name] = by[profile.pair.transform]
+    return PairCalibration(methods, transforms), notes
+
+
+def _result(
+    found: PairIdentification,
+    tracker: Array,
+    chosen: str,
+    errors: Mapping[str, Array],
+    rotated: Mapping[str, ErrorSummary],
+    held_out: PairHeldOut,
+    counts: Mapping[str, int],
+) -> PairMethodResult:
+    """Return the result of one method, of which the profile has ``chosen`` a transform; ``errors`` in [m]."""
+    by_tracker = [*tracker[:3, 3].tolist(), *zyx_angles(tracker[:3, :3])]
+    estimates = zip(PAIR_NAMES, found.values.tolist(), found.standard_errors.tolist(), by_tracker, strict=True)
+    summaries = {key: summarise(its) for key, its in errors.items()}
+    return PairMethodResult(
+        cooperative_mm=summaries[chosen],
+        cooperative_mrad=rotated.get(chosen),
+        transform=chosen,
+        by_transform_mm=summaries,
+        by_transform_mrad=rotated or None,
+        identified={
+            name: PairEstimate(
+                value=value, standard_error=error, unit="m" if name in "xyz" else "rad", by_tracker=other
+            )
+            for name, value, error, other in estimates
+        },
+        iterations=found.iterations,
+        converged=True,  # else it was refused; earlier versions stored such a pair
+        splits=counts,
+        held_out=held_out,
+    )
+
+
+def _mm(errors: Array) -> tuple[float, ...]:
+    return tuple((errors * 1e3).tolist())
 
 
 _ArmPoses = tuple[Array, Array]

@@ -8,9 +8,10 @@ Whitening, robust weights, folds, residuals and effects work alike for both.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Self
 
 import numpy as np
 import scipy
@@ -62,12 +63,18 @@ class Quantities:
         m rows, with the measured orientations.
     stated : array, shape (m,) or (m, 3, 3), or None
         Stated uncertainty, [m, m^2] or [rad, rad^2].
+    sigma : array, shape (m,) or (m, 3, 3)
+        Uncertainty that weights them: 1 until a fit sets it.
     """
 
     reading: NDArray[np.intp]
     readings: Readings
     conditions: MeasurementConditions
     stated: Array | None
+    sigma: Array
+
+    def __len__(self) -> int:
+        return len(self.readings)
 
     @property
     def R_M_S(self) -> Array | None:
@@ -78,6 +85,39 @@ class Quantities:
     def angular(self) -> NDArray[np.bool_] | None:
         """Mask (m,) of the vectors that are orientations; None if none is."""
         return self.conditions.angular
+
+    @property
+    def points(self) -> NDArray[np.bool_]:
+        """Mask (m,) of the vectors that are positions."""
+        return np.ones(len(self), dtype=np.bool_) if self.angular is None else ~self.angular
+
+    @property
+    def positions(self) -> Self:
+        """The vectors that are positions."""
+        if self.angular is None:
+            return self
+        its = self.take(self.points)
+        return replace(its, conditions=replace(its.conditions, R_M_S=None))
+
+    def take(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> Self:
+        """Return some of the vectors."""
+        return replace(
+            self,
+            reading=self.reading[rows],
+            readings=self.readings.take(rows),
+            conditions=self.conditions.take(rows),
+            stated=None if self.stated is None else self.stated[rows],
+            sigma=self.sigma[rows],
+        )
+
+    def chunks(self, most: int) -> Iterator[Self]:
+        """Yield the vectors in parts of at most ``most``."""
+        for first in range(0, len(self), most):
+            yield self.take(np.arange(first, min(first + most, len(self)), dtype=np.intp))
+
+    def residuals(self, model: ArmModel) -> Array:
+        """Return measured less predicted positions (m, 3) [m], and rotations from computed to measured [rad]."""
+        return np.asarray(self.readings.p_M - model.predict(self.readings.q, conditions=self.conditions))
 
     def readings_with(self, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return a mask (n,) of the readings that have at least one of the ``chosen`` (m,) vectors."""
@@ -100,14 +140,15 @@ def measured_quantities(readings: Readings, conditions: MeasurementConditions | 
     rows, rotations = measured_orientations(readings)
     every = np.arange(n, dtype=np.intp)
     if not len(rows):
-        return Quantities(every, readings, conditions, stated)
+        return Quantities(every, readings, conditions, stated, np.ones(n))
     both = np.concatenate([every, rows])
     R_M_S: Array = np.full((len(both), 3, 3), np.nan)
     R_M_S[n:] = rotations
     p_M = readings.p_M[both].copy()
     p_M[n:] = 0.0
     whole = replace(readings.take(both), p_M=p_M)
-    return Quantities(both, whole, replace(conditions.take(both), R_M_S=R_M_S), _stated(readings, stated, rows))
+    conditions = replace(conditions.take(both), R_M_S=R_M_S)
+    return Quantities(both, whole, conditions, _stated(readings, stated, rows), np.ones(len(both)))
 
 
 def _stated(readings: Readings, of_points: Array | None, rows: NDArray[np.intp]) -> Array:
@@ -352,23 +393,21 @@ def summarise(errors: Array, means: Array | None = None) -> ErrorSummary:
     if means is None:
         weights = _resampled(len(mm))
         means = weights @ np.abs(errors) / len(mm)
-    low, high = np.quantile(means, [0.025, 0.975]) * 1e3
-    p50, p95 = np.quantile(mm, [0.5, 0.95])
-    return ErrorSummary(
-        mean=float(mm.mean()),
-        rms=float(np.sqrt(np.mean(mm**2))),
-        std=float(mm.std(ddof=1)) if len(mm) > 1 else 0.0,
-        max=float(mm.max()),
-        p50=float(p50),
-        p95=float(p95),
-        mean_ci95=(float(low), float(high)),
-        n=len(mm),
-    )
+    low, high = (np.quantile(means, [0.025, 0.975]) * 1e3).tolist()
+    return summary_mm(mm).model_copy(update={"mean_ci95": (low, high)})
+
+
+def summary_mm(mm: Array) -> ErrorSummary:
+    """Compute statistics of errors [mm] that may be correlated: without a confidence interval of their mean."""
+    p50, p95 = np.quantile(mm, [0.5, 0.95]).tolist()
+    std = float(mm.std(ddof=1)) if len(mm) > 1 else 0.0
+    rms, mean, most = float(np.sqrt(np.mean(mm**2))), float(mm.mean()), float(mm.max())
+    return ErrorSummary(mean=mean, rms=rms, std=std, max=most, p50=p50, p95=p95, n=len(mm))
 
 
 @lru_cache(maxsize=1)
 def _resampled(n: int) -> Array:
-    """Draw bootstrap weights (samples, n): how often each of n is drawn in each sample; kept for the next stage."""
+    """Sample bootstrap weights (samples, n): how often each of n is sampled in each sample; kept for the next stage."""
     return np.random.default_rng(n).multinomial(n, np.full(n, 1.0 / n), size=_SAMPLES).astype(np.float64)
 
 
@@ -385,7 +424,7 @@ def distance_errors(measured: Array, computed: Array) -> Array:
 def distance_summary(measured: Array, computed: Array, weights: Array | None = None) -> ErrorSummary:
     """Compute statistics of the distance errors of all pairs; the bootstrap resamples points, as pairs share points.
 
-    ``weights`` are the bootstrap weights of the points; drawn if None.
+    ``weights`` are the bootstrap weights of the points; sampled if None.
     """
     errors = distance_errors(measured, computed)
     n = len(measured)

@@ -4,8 +4,8 @@ The model predicts each point p_i(T) from the joint positions; T maps the tracke
 present one. With measured points m_i, minimise r^T S^-1 r over T, r_i = m_i - p_i(T). S is the covariance of all
 coordinates together: noise of the tracker and of the arms, and the model's uncertainty, which the points of one
 arm share. A twist (v, w) of the frame moves a predicted point by v + w x p. The gain of the solution is
-G = (J^T S^-1 J)^-1 J^T S^-1. One draw d, n of the model's error and of the noise at the points gives one draw of the
-station's error, -G (d + n): with it, draws of later predictions keep the correlation of station and model.
+G = (J^T S^-1 J)^-1 J^T S^-1. One sample d, n of the model's error and of the noise at the points gives one sample of
+the station's error, -G (d + n): with it, samples of later predictions keep the correlation of station and model.
 
 One rigid motion of the tracker explains all points of all arms if r^T S^-1 r is as chi-squared with 3 n - 6 degrees of
 freedom allows.
@@ -17,7 +17,6 @@ import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 import scipy
@@ -115,7 +114,7 @@ class StationFit:
     chi_squared : float
     degrees_of_freedom : int
     twists : array, shape (S, 6)
-        Draws of the error of ``T_new_old``, one for each draw of the arms' posteriors.
+        Samples of the error of ``T_new_old``, one for each sample of the arms' posteriors.
     """
 
     T_new_old: Array
@@ -172,7 +171,7 @@ def fit_station(
         Arm -> standard deviation of a coordinate [m] by which readings scatter about the model beyond the covariance
         of the tracker and the model's own uncertainty: the arm's repeatability.
     seed : sequence of int
-        Seed of the draws.
+        Seed of the samples.
     rough : RoughStation or None
         Prior of the station; with it fewer than three points are enough, but the chi-squared test does not hold.
 
@@ -185,7 +184,41 @@ def fit_station(
     if rough is None:
         measured_M = np.concatenate([own.measured_M for own in points.values()] or [np.empty((0, 3))])
         _check_layout(measured_M, "the tracker's station")
-    return _fit(_StationProblem(model, points, excess_m, tuple(seed), rough), start)
+
+    def linearised(station: Array) -> tuple[Array, Array]:
+        """Compute residuals (3 n,) and derivatives (3 n, 6) of the predicted coordinates, then those of the prior."""
+        expected = predicted_points(relocated(model, station), points)
+        r = [(points[name].measured_M - p_M).ravel() for name, p_M in expected.items()]
+        J = [twist_columns(p_M).reshape(-1, 6) for p_M in expected.values()]
+        if rough is not None:
+            off = station @ invert(rough.T_new_old)
+            r.append(-np.concatenate([off[:3, 3], rotation_vectors(off[None, :3, :3])[0]]))
+            J.append(np.eye(6))
+        return np.concatenate(r), np.concatenate(J)
+
+    station = start
+    of_prior = [] if rough is None else [np.linalg.cholesky(rough.covariance)]
+    for _ in range(_REWEIGHTED):
+        noise, sampled = _uncertainty(relocated(model, station), points, excess_m)
+        L, n = np.linalg.cholesky(noise + sampled.T @ sampled / len(sampled)), len(noise)
+        with_prior: Array = np.asarray(scipy.linalg.block_diag(L, *of_prior), dtype=np.float64)
+        fit = LeastSquares(linearised, lambda T, step: small_motion(step, np.zeros(3)) @ T, with_prior)
+        best = fit.best("fit of the tracker's station", station, tolerance=_SMALL_STEP).point
+        station = best.state
+    white_r, white_J = best.white
+    covariance: Array = np.asarray(np.linalg.inv(white_J.T @ white_J), dtype=np.float64)
+    gain = scipy.linalg.solve_triangular(L, white_J[:n], lower=True, trans=1) @ covariance
+    rng = np.random.default_rng([*seed, 0x10C])
+    sampled_noise = rng.standard_normal((len(sampled), n)) @ np.linalg.cholesky(noise).T
+    ends = np.cumsum([len(own) for own in points.values()])
+    return StationFit(
+        T_new_old=station,
+        covariance=covariance,
+        residuals=dict(zip(points, np.split(best.r[:n].reshape(-1, 3), ends[:-1]), strict=True)),
+        chi_squared=float(white_r[:n] @ white_r[:n]),
+        degrees_of_freedom=n - 6,
+        twists=-((sampled + sampled_noise) @ gain),
+    )
 
 
 def displacement_m(model: CellModel, points: Points, T_new_old: Array) -> float:
@@ -197,78 +230,20 @@ def displacement_m(model: CellModel, points: Points, T_new_old: Array) -> float:
 # -- inside -----------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class _StationProblem:
-    model: CellModel
-    points: Points
-    excess_m: Mapping[str, float]
-    seed: tuple[int, ...]
-    rough: RoughStation | None
-
-
-def _fit(problem: _StationProblem, station: Array) -> StationFit:
-    for _ in range(_REWEIGHTED):
-        noise, sampled = _uncertainty(problem, station)
-        L = np.linalg.cholesky(noise + sampled.T @ sampled / len(sampled))
-        of_prior = [] if problem.rough is None else [np.linalg.cholesky(problem.rough.covariance)]
-        with_prior: Array = np.asarray(scipy.linalg.block_diag(L, *of_prior), dtype=np.float64)
-        least_squares = LeastSquares(
-            partial(_with_prior, problem), lambda T, step: small_motion(step, np.zeros(3)) @ T, with_prior
-        )
-        best = least_squares.best("fit of the tracker's station", station, tolerance=_SMALL_STEP).point
-        station = best.state
-    _, A = best.white
-    covariance: Array = np.asarray(np.linalg.inv(A.T @ A), dtype=np.float64)
-    r, J = _linearised(problem, station)
-    white_r, white_J = (scipy.linalg.solve_triangular(L, one, lower=True) for one in (r, J))
-    gain = scipy.linalg.solve_triangular(L, white_J, lower=True, trans=1) @ covariance
-    rng = np.random.default_rng([*problem.seed, 0x10C])
-    sampled_noise = rng.standard_normal((len(sampled), len(r))) @ np.linalg.cholesky(noise).T
-    return StationFit(
-        T_new_old=station,
-        covariance=covariance,
-        residuals=_by_arm(problem.points, r),
-        chi_squared=float(white_r @ white_r),
-        degrees_of_freedom=len(r) - 6,
-        twists=-((sampled + sampled_noise) @ gain),
-    )
-
-
-def _with_prior(problem: _StationProblem, station: Array) -> tuple[Array, Array]:
-    """Return ``_linearised``, and below it the rows of the station's prior."""
-    r, J = _linearised(problem, station)
-    if problem.rough is None:
-        return r, J
-    moved = -_twist(station @ invert(problem.rough.T_new_old))
-    return np.concatenate([r, moved]), np.concatenate([J, np.eye(6)])
-
-
-def _linearised(problem: _StationProblem, station: Array) -> tuple[Array, Array]:
-    """Compute residuals (3 n,) and derivatives (3 n, 6) of the predicted coordinates."""
-    expected = predicted_points(relocated(problem.model, station), problem.points)
-    r = np.concatenate([(problem.points[name].measured_M - p_M).ravel() for name, p_M in expected.items()])
-    return r, np.concatenate([twist_columns(p_M).reshape(-1, 6) for p_M in expected.values()])
-
-
-def _uncertainty(problem: _StationProblem, station: Array) -> tuple[Array, Array]:
-    """Compute the noise covariance (3 n, 3 n) [m^2] and draws of the model's error (S, 3 n) [m] at the points."""
-    model = relocated(problem.model, station)
-    sizes = [3 * len(own) for own in problem.points.values()]
-    noise, sampled, first = np.zeros((sum(sizes), sum(sizes))), np.zeros((SAMPLES, sum(sizes))), 0
-    for (name, own), size in zip(problem.points.items(), sizes, strict=True):
-        arm, here = model.arms[name], slice(first, first + size)
-        added = np.full(len(own), problem.excess_m[name] ** 2)
+def _uncertainty(model: CellModel, points: Points, excess_m: Mapping[str, float]) -> tuple[Array, Array]:
+    """Compute the noise covariance (3 n, 3 n) [m^2] and samples of the model's error (S, 3 n) [m] at the points."""
+    noise, sampled = list[Array](), list[Array]()
+    for name, own in points.items():
+        arm, added = model.arms[name], np.full(len(own), excess_m[name] ** 2)
         if arm.network is not None:
             added += np.mean(arm.network.spread(own.q) ** 2, axis=1)
-        for k, covariance in enumerate(own.covariance_M + added[:, None, None] * np.eye(3)):
-            rows = slice(first + 3 * k, first + 3 * k + 3)
-            noise[rows, rows] = covariance
+        noise += [*(own.covariance_M + added[:, None, None] * np.eye(3))]
+        moved = np.zeros((SAMPLES, len(own), 3))
         if arm.posterior is not None:
             context = arm.context(own.q, conditions=_conditions(model, own))
             moved = arm.posterior.displacements(arm.geometry, arm.effects, context)
-            sampled[:, here] = moved.reshape(len(moved), -1)
-        first += size
-    return noise, sampled
+        sampled.append(moved.reshape(len(moved), -1))
+    return np.asarray(scipy.linalg.block_diag(*noise), dtype=np.float64), np.concatenate(sampled, axis=1)
 
 
 def _conditions(model: CellModel, own: ArmPoints) -> MeasurementConditions:
@@ -296,21 +271,10 @@ def _check_layout(points: Array, fixed: str, frame: str = "") -> None:
         )
 
 
-def _by_arm(points: Points, stacked: Array) -> dict[str, Array]:
-    ends = np.cumsum([3 * len(own) for own in points.values()])
-    parts = np.split(stacked, ends[:-1])
-    return {name: part.reshape(-1, 3) for name, part in zip(points, parts, strict=True)}
-
-
 def small_motion(twist: Array, centre: Array) -> Array:
     """A small motion (4, 4) by a twist about a centre."""
     rotation = rotation_from_vector(twist[3:])
     return transform(rotation, centre - rotation @ centre + twist[:3])
-
-
-def _twist(T: Array) -> Array:
-    """Return the twist (6,) of a small motion (4, 4)."""
-    return np.concatenate([T[:3, 3], rotation_vectors(T[None, :3, :3])[0]])
 
 
 # -- Poses of tracker stations in the frame of the first one, from reference nests, all in one fit --------------------
@@ -387,8 +351,8 @@ def tie_stations(first: str, points: Sequence[NestPoint]) -> dict[str, StationTi
         return _equations(stations, nests, points, *one)
 
     def after(one: _Places, step: Array) -> _Places:
-        twists = step[:free].reshape(-1, 2, 3)
-        moved = {n: transform(rotation_from_vector(w), v) @ one[0][n] for n, (v, w) in zip(stations[1:], twists)}
+        twists = step[:free].reshape(-1, 6)
+        moved = {n: small_motion(own, np.zeros(3)) @ one[0][n] for n, own in zip(stations[1:], twists)}
         return {**one[0], **moved}, one[1] + step[free:].reshape(-1, 3)
 
     best = LeastSquares(linearised, after).best("fit of the tracker's stations to reference nests", (T, x)).point
@@ -657,7 +621,7 @@ def _readings(q: Array) -> Iterator[tuple[str, Array]]:
             coupled[:, 2] += sign * q[:, 1]
             yield f"q3 {words} q2 in place of q3", coupled
     for count in range(1, joints + 1):
-        for rotated in itertools.combinations(range(joints), count):
+        for flipped in itertools.combinations(range(joints), count):
             signs = np.ones(joints)
-            signs[list(rotated)] = -1.0
-            yield f"{', '.join(f'q{one + 1}' for one in rotated)} with the opposite sign", q * signs
+            signs[list(flipped)] = -1.0
+            yield f"{', '.join(f'q{one + 1}' for one in flipped)} with the opposite sign", q * signs

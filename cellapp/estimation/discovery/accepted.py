@@ -226,27 +226,27 @@ def describe(data: ArmData, fit: JointFit, number: int) -> TermDescription:
     curve: tuple[tuple[float, float], ...] = ()
     if is_borrowed(term.law):
         columns = fit.term_columns(number)
-        channel = ", ".join(dict.fromkeys(column.where for column in columns))
+        acts_on = ", ".join(dict.fromkeys(column.where for column in columns))
         names = tuple(sorted(variable.value for variable in term.law.form.variables))
         if not is_contradiction(term.law):  # of the joints' own angles
             names = tuple(sorted({f"q{column.joint + 1}" for column in columns if column.joint is not None}))
         said = term.note
     else:
         form = data_driven_form(term.law)
-        channel, names = form.acts_on.name, tuple(variable.name for variable in form.inputs)
+        acts_on, names = form.acts_on.name, tuple(variable.name for variable in form.inputs)
         if form.is_field:
             length = term.law.constants[FIELD_LENGTH.name]
             said = (
-                f"{channel} depends on the position, a field over the workspace that changes within some {length:.1g} m"
+                f"{acts_on} depends on the position, a field over the workspace that changes within some {length:.1g} m"
             )
         else:
             values = [variable.values(data.context) for variable in form.inputs]
             formula, gain = _formula(data, fit, number, form.acts_on, form.inputs, values)
             if len(names) == 1 and fit.term_columns(number)[0].joint is not None:
                 curve = _curve(fit, number, values[0])
-            said = f"{channel} depends on {' and '.join(names)}{f', about {formula}' if formula else ''}"
+            said = f"{acts_on} depends on {' and '.join(names)}{f', about {formula}' if formula else ''}"
     return TermDescription(
-        channel=channel,
+        channel=acts_on,
         variables=names,
         size_um=size_um,
         formula=formula,

@@ -9,27 +9,24 @@ of its own point: that of hundreds of columns is so ill-conditioned that the mat
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
-from cellapp.estimation.calibration.least_squares import minimise
-from cellapp.estimation.discovery.arm_data import ArmData, Excess, ModelTerm, ModelTerms, smoothness_of, whitening
+from cellapp.estimation.discovery.arm_data import ArmData, Excess, ModelTerm, ModelTerms, smoothness_of
 from cellapp.estimation.discovery.joint_fit import (
     JointFit,
-    LinearModel,
-    NormalMatrix,
     fit_terms,
-    noise_of,
     refit,
+    samples_of,
     uncertainty_with_scatter,
     with_posterior,
 )
 from cellapp.estimation.discovery.process import (
     Component,
     Hyperparameters,
-    ProcessData,
     StructuredProcess,
     components,
     most_evident,
@@ -38,22 +35,16 @@ from cellapp.estimation.discovery.process import (
 )
 from cellapp.estimation.discovery.search.state import Review, SearchResult
 from cellapp.estimation.discovery.search.unnamed_term import without_name
+from cellapp.estimation.prior.belief import Prior, normal_matrix, posterior
 from cellapp.ground.errors import NotConverged
-from cellapp.robot.effects import EffectColumn, displacement_by
+from cellapp.robot.effects import EffectColumn
 from cellapp.robot.effects.effect import is_unnamed, lent_effect
-from cellapp.robot.kinematics.chain import AT_BOUND, smr_positions
+from cellapp.robot.kinematics.chain import AT_BOUND
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
-from cellapp.robot.model.model import PosteriorSamples
 
-_CHUNK = 1024
-"""Readings in a chunk: 2000 columns of them take 50 MB."""
-_MOST_STEPS = 20
-"""Most Gauss-Newton steps, rejected ones included: usually four suffice."""
-_TOLERANCE = 0.1
-"""Step at which the fit ends, in standard errors of any combination of parameters."""
 _SAMPLE_SEED = 0xA117
-"""Combined with the profile's seed, so that these draws are independent of all other draws."""
+"""Combined with the profile's seed, so that these samples are independent of all other samples."""
 
 
 def fit_to_all(found: SearchResult, data: ArmData, needed: float) -> tuple[SearchResult, ArmModel]:
@@ -108,11 +99,8 @@ def _process(found: SearchResult, data: ArmData, named: ModelTerms, needed: floa
     smooth = [term for term in found.fit.terms if term.smooth is not None]
     had = {lent_effect(term.law).slug if is_unnamed(term.law) else term.slug: term for term in smooth}
     chosen = [one if one.slug in had else one.coarse() for one in components(found.data, base)]
-    columns = list(base.identification.estimated.columns)
-    deviation = base.model.geometry.vector()[columns] - base.geometry_mean
-    values = np.concatenate([deviation, base.identification.effect_values])
-    normal = _gathered(data, base, chosen).about(np.pad(values, (0, sum(len(one.columns) for one in chosen))))
-    gram = ProcessData.behind(normal, base.layout.total, base.precision, 3 * len(data))
+    normal = normal_matrix(base.model, data, _prior(base), partial(_columns, chosen))
+    gram = normal.behind(base.layout.total, base.precision)
     start = Hyperparameters(
         tuple(_amplitudes(one, had.get(one.slug)) for one in chosen),
         tuple(_length(one, had.get(one.slug)) for one in chosen),
@@ -135,7 +123,7 @@ def _length(component: Component, term: ModelTerm | None) -> float:
     return next((known[key] for key in component.length_keys if key in known), component.lengths.start)
 
 
-def _columns(data: ArmData, chosen: Sequence[Component]) -> list[EffectColumn]:
+def _columns(chosen: Sequence[Component], data: ArmData) -> list[EffectColumn]:
     """Return the columns of components at some readings."""
     found: list[EffectColumn] = []
     for one in chosen:
@@ -144,87 +132,11 @@ def _columns(data: ArmData, chosen: Sequence[Component]) -> list[EffectColumn]:
     return found
 
 
-def _gathered(data: ArmData, fit: JointFit, further: Sequence[Component] = ()) -> NormalMatrix:
-    """Accumulate X^T X, X^T r and r^T r of a fit and of further components over all readings, linearised there.
-
-    r are the residuals of ``fit.model``; what it predicts is not added to them.
-    """
-    total = fit.layout.total + sum(len(one.columns) for one in further)
-    found = NormalMatrix(np.zeros((total, total)), np.zeros(total), 0.0)
-    for chunk in _chunks(data):
-        q, R_M_S, white = chunk.readings.q, chunk.conditions.R_M_S, whitening(chunk.sigma)
-        of_terms = chunk.term_columns(fit.terms)
-        columns = [*of_terms, *_columns(chunk, further)]
-        moved = displacement_by(of_terms, fit.identification.effect_values.tolist(), *q.shape)
-        q = q + moved.joints
-        estimated = fit.identification.estimated
-        linear = LinearModel.of(fit.model.geometry, q, white, estimated, columns, R_M_S)
-        predicted = smr_positions(fit.model.geometry, q, R_M_S) + moved.shift_M
-        residual = np.einsum("acn,nc->an", white, chunk.readings.p_M - predicted)
-        found += NormalMatrix.of(linear.rows, residual.ravel())
-    return found
-
-
-def _chunks(data: ArmData) -> Iterator[ArmData]:
-    """Split the readings into chunks."""
-    for first in range(0, len(data), _CHUNK):
-        yield data.take(np.arange(first, min(first + _CHUNK, len(data)), dtype=np.intp))
-
-
-@dataclass(frozen=True, eq=False)
-class _Point:
-    """A fit, its residuals and normal equations linearised there; ``values`` (p,) are deviations from nominal."""
-
-    fit: JointFit
-    data: ArmData
-    values: Array
-    normal: NormalMatrix
-
-
-@dataclass(frozen=True, eq=False)
-class _AllReadings:
-    """Least squares over all readings with priors, for ``least_squares``: a step is in standard errors."""
-
-    nominal: Array
-    start: JointFit
-    data: ArmData
-
-    def at_start(self) -> _Point:
-        found = self.start.identification
-        columns = list(found.estimated.columns)
-        deviation = self.start.model.geometry.vector()[columns] - self.nominal
-        return self._at(np.concatenate([deviation, found.effect_values]))
-
-    def _at(self, values: Array) -> _Point:
-        """Linearise at some values: the columns of the effects, too, are those at this model."""
-        fit = self.start
-        flat = fit.layout.geometric
-        geometry = fit.identification.estimated.moved(fit.model.geometry, self.nominal + values[:flat])
-        effects = tuple(
-            replace(term, values=values[fit.layout.parameters(number)]) for number, term in enumerate(fit.model.effects)
-        )
-        model = replace(fit.model, geometry=geometry, effects=effects)
-        fit = replace(fit, model=model, identification=replace(fit.identification, effect_values=values[flat:]))
-        data = self.data.at(model)
-        return _Point(fit, data, values, _gathered(data, fit))
-
-    def reweighted(self, point: _Point) -> _Point:
-        return point
-
-    def step(self, point: _Point, damping: float) -> tuple[Array, Array]:
-        gram = point.normal.gram
-        solver = point.normal.with_priors(self.start.precision + damping * np.diag(gram))
-        step = solver.solve(point.normal.moment - self.start.precision * point.values)
-        return step, solver.in_standard_errors(step)
-
-    def promise(self, point: _Point, step: Array) -> float:
-        return float(step @ (point.normal.moment - self.start.precision * point.values))
-
-    def moved(self, point: _Point, step: Array) -> _Point:
-        return self._at(point.values + step)
-
-    def objective(self, point: _Point) -> float:
-        return point.normal.square + float(self.start.precision @ point.values**2)
+def _prior(fit: JointFit) -> Prior:
+    """Return the priors of a fit: about nominal, or about the bounds at which parameters are held."""
+    estimated = fit.identification.estimated
+    reference = estimated.moved(fit.model.nominal, fit.geometry_mean)
+    return Prior(estimated.columns, reference, np.zeros(fit.layout.total), np.diag(fit.precision), estimated.tied)
 
 
 def _fitted(data: ArmData, fit: JointFit, spread: float) -> ArmModel:
@@ -233,20 +145,9 @@ def _fitted(data: ArmData, fit: JointFit, spread: float) -> ArmModel:
     Raises ``NotConverged``.
     """
     estimated = fit.identification.estimated
-    problem = _AllReadings(fit.geometry_mean, fit, data)
-    found = minimise(problem, problem.at_start(), tolerance=_TOLERANCE, max_iterations=_MOST_STEPS)
-    if not found.converged:
-        raise NotConverged.of("effects to all readings", found.message)
+    found = posterior(fit.model, data, _prior(fit), weighed=True)
     limits = estimated.limits(fit.model.nominal, len(estimated.columns))
-    values = found.point.values[: fit.layout.geometric] + problem.nominal
+    values = found.model.geometry.vector()[list(estimated.columns)]
     if limits is not None and np.any(np.abs(np.clip(values, *limits) - values) > AT_BOUND):
-        raise NotConverged.of("effects to all readings", "a parameter left its bounds")
-    samples = PosteriorSamples.of_covariance(
-        columns=estimated.columns,
-        sizes=[term.size for term in fit.terms],
-        covariance=found.point.normal.with_priors(fit.precision).covariance * spread**2,
-        noise=noise_of(data, spread, smoothness_of(fit.terms)),
-        seed=(data.profile.seed, _SAMPLE_SEED),
-        tied=estimated.tied,
-    )
-    return replace(found.point.fit.model, posterior=samples)
+        raise NotConverged.of("fit of geometry and effects to all readings", "a parameter left its bounds")
+    return replace(found.model, posterior=samples_of(data, fit, found.covariance, 1.0, spread, _SAMPLE_SEED))

@@ -13,20 +13,11 @@ from numpy.typing import NDArray
 from cellapp.estimation.calibration.identification import identify_with_excess
 from cellapp.estimation.calibration.least_squares import whitener, with_excess
 from cellapp.estimation.calibration.parameters import ParameterSet
-from cellapp.estimation.calibration.quantities import ArmReadings
-from cellapp.estimation.readings import Readings
+from cellapp.estimation.calibration.quantities import ArmReadings, Quantities
 from cellapp.estimation.readings.readings import Groups, repeats, undivided
 from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
-from cellapp.robot.effects import (
-    EFFECTS,
-    Effect,
-    EffectColumn,
-    EffectContext,
-    InputVariable,
-    Law,
-    MeasurementConditions,
-)
+from cellapp.robot.effects import EFFECTS, Effect, EffectColumn, EffectContext, InputVariable, Law
 from cellapp.robot.effects.effect import BorrowedForm
 from cellapp.robot.effects.law import with_prior_sd
 from cellapp.robot.effects.modulation import Modulation, with_modulations
@@ -324,20 +315,16 @@ LEAST_SCATTER_M = 1e-7
 
 
 @dataclass(frozen=True, eq=False)
-class ArmData:
-    """Readings of one arm, their measurement conditions, and the weights in use.
+class ArmData(Quantities):
+    """Measured vectors of one arm, with the weights in use, for a search.
 
     The parameter set is selected once. If each joint fit selected it again, an effect could make redundant directions
     appear identifiable.
 
     Attributes
     ----------
-    profile, model, readings, known
-        ``model`` has geometry only; ``conditions`` are those of the readings.
-    stated : array, shape (n,) [m] or (n, 3, 3) [m^2], or None
-        Stated uncertainty of the readings; None if they state none.
-    sigma : array, shape (n,) [m] or (n, 3, 3) [m^2]
-        Uncertainty that defines the weights: stated or estimated, including the scatter beyond it.
+    profile, model
+        ``model`` has geometry only.
     parameter_set : ParameterSet
         Geometric parameters that are fitted.
     prior_sigma : mapping
@@ -352,10 +339,6 @@ class ArmData:
 
     profile: Profile
     model: ArmModel
-    readings: Readings
-    conditions: MeasurementConditions
-    stated: Array | None
-    sigma: Array
     parameter_set: ParameterSet
     prior_sigma: Mapping[str, float]
     start: Mapping[tuple[str, str], float] = field(default_factory=dict)
@@ -370,7 +353,7 @@ class ArmData:
         """
         profile, model, its = arm.profile, arm.model, arm.quantities()
         settings = profile.calibration
-        readings, conditions, stated = its.readings, its.conditions, its.stated
+        readings, stated = its.readings, its.stated
         found, excess_m = identify_with_excess(
             model.nominal,
             readings.q,
@@ -386,20 +369,8 @@ class ArmData:
         if stated is not None and its.angular is not None:
             sigma = with_excess(stated, excess_m**2, its.angular, found.excess_rad**2)
         geometry_only = replace(model, effects=(), network=None, geometry=found.geometry)
-        return cls(profile, geometry_only, readings, conditions, stated, sigma, found.estimated, found.prior_sigma)
-
-    def __len__(self) -> int:
-        return len(self.readings)
-
-    @cached_property
-    def angular(self) -> NDArray[np.bool_] | None:
-        """Mask (n,) of the rows that are orientations; None if there are none."""
-        return self.conditions.angular
-
-    @property
-    def positions(self) -> slice | NDArray[np.bool_]:
-        """Mask (n,) of the rows that are positions; a full slice if no orientation was measured."""
-        return slice(None) if self.angular is None else ~self.angular
+        own = {"parameter_set": found.estimated, "prior_sigma": found.prior_sigma}
+        return cls(**{**vars(its), "sigma": sigma}, profile=profile, model=geometry_only, **own)
 
     @cached_property
     def group(self) -> Groups:
@@ -423,17 +394,9 @@ class ArmData:
         here = replace(self, model=replace(model, effects=(), network=None), true_q=true_q, cache=kept)
         return here.beginning_at(model)
 
-    def take(self, rows: NDArray[np.intp]) -> ArmData:
+    def take(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> ArmData:
         """Return some of the rows."""
-        return replace(
-            self,
-            readings=self.readings.take(rows),
-            conditions=self.conditions.take(rows),
-            stated=None if self.stated is None else self.stated[rows],
-            sigma=self.sigma[rows],
-            true_q=None if self.true_q is None else self.true_q[rows],
-            cache={},
-        )
+        return replace(super().take(rows), true_q=None if self.true_q is None else self.true_q[rows], cache={})
 
     def claiming(self, factor: float) -> ArmData:
         """Return the same data with the stated uncertainty of positions times a factor."""

@@ -52,7 +52,7 @@ _MOST_SEARCHED = 400
 """Largest number of readings to search. The cost grows with it, and some hundred readings show effects of the size of
 the noise. The accepted terms are then fitted to all readings."""
 _SUBSET_SEED = 0x5EA
-"""Combined with the profile's seed, so that the draw of these readings is independent of all other draws."""
+"""Combined with the profile's seed, so that the sample of these readings is independent of all other samples."""
 
 
 ArmSearch = Callable[[ArmReadings, JobSteps], "ArmFound"]
@@ -207,7 +207,7 @@ def _scatter_m(found: SearchResult) -> float:
     data = found.data
     if smoothness_of(found.fit.terms) is None:
         return 0.0
-    points = data.positions
+    points = data.points
     stated = 0.0 if data.stated is None else mean_variance(data.stated[points])
     return math.sqrt(max(mean_variance(data.sigma[points]) - stated, 0.0))
 
@@ -222,7 +222,7 @@ def _contradicted_claim(found: SearchResult, stated_mm: float) -> str | None:
 
 def _noise(data: ArmData) -> Noise:
     """Return the rms length of the noise: the stated one, else that estimated by the final fit (all of its scatter)."""
-    points = data.positions
+    points = data.points
     if data.stated is None or states_nothing(data.stated[points]):
         return Noise(rms=rms_length_mm(data.sigma[points]), source="estimated")
     return Noise(rms=rms_length_mm(data.stated[points]), source="stated")
@@ -265,7 +265,7 @@ class Searched:
 
 
 def search_rows(arm: ArmReadings, steps: JobSteps = UNTOLD, prior_sigma: Mapping[str, float] | None = None) -> Searched:
-    """Search at most ``_MOST_SEARCHED`` of the readings, drawn at random, then fit to all of them.
+    """Search at most ``_MOST_SEARCHED`` of the readings, sampled at random, then fit to all of them.
 
     Gross errors that show only beside the effects found are removed in rounds; the search is repeated only if some of
     them were searched. ``prior_sigma`` as for ``discover_arm``.

@@ -50,7 +50,6 @@ from cellapp.robot.kinematics.chain import Geometry, JointAngles, joint_jacobian
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
 from cellapp.robot.model.model import PosteriorSamples, ReadingsNoise
-from cellapp.robot.model.nominal import FIXED_SD
 
 # -- Normal equations of a linear model with priors: accumulated over readings, solved, and partly eliminated ---------
 #
@@ -65,34 +64,37 @@ _SMALLEST = 1e-300
 
 @dataclass(frozen=True, eq=False)
 class NormalMatrix:
-    """X^T X (p, p), X^T y (p,) and y^T y of whitened columns; y is the residual plus the present prediction."""
+    """X^T X (p, p), X^T y (p,) and y^T y of whitened columns; y is the residual plus the present prediction.
+
+    ``coordinates`` are independent: those of y, less the parameters eliminated.
+    """
 
     gram: Array
     moment: Array
     square: float
+    coordinates: float
 
     @classmethod
     def of(cls, rows: Array, target: Array) -> NormalMatrix:
         """Compute the products from columns as rows X^T (p, d) and y (d,)."""
-        return cls(rows @ rows.T, rows @ target, float(target @ target))
+        return cls(rows @ rows.T, rows @ target, float(target @ target), float(len(target)))
 
     def __add__(self, other: NormalMatrix) -> NormalMatrix:
         """Add further readings."""
-        return NormalMatrix(self.gram + other.gram, self.moment + other.moment, self.square + other.square)
+        return NormalMatrix(
+            self.gram + other.gram,
+            self.moment + other.moment,
+            self.square + other.square,
+            self.coordinates + other.coordinates,
+        )
 
     def __sub__(self, other: NormalMatrix) -> NormalMatrix:
         """Remove some of the readings."""
-        return NormalMatrix(self.gram - other.gram, self.moment - other.moment, self.square - other.square)
+        return self + NormalMatrix(-other.gram, -other.moment, -other.square, -other.coordinates)
 
     def take(self, places: NDArray[np.intp] | NDArray[np.bool_]) -> NormalMatrix:
         """Return the equations of some of the columns."""
-        return NormalMatrix(self.gram[places][:, places], self.moment[places], self.square)
-
-    def about(self, values: Array) -> NormalMatrix:
-        """Add what ``values`` (p,) predict to the residual: priors about zero concern the sum of both."""
-        of_values = self.gram @ values
-        square = self.square + float(values @ (2.0 * self.moment + of_values))
-        return NormalMatrix(self.gram, self.moment + of_values, square)
+        return replace(self, gram=self.gram[places][:, places], moment=self.moment[places])
 
     def log_occam(self, variance: Array) -> float:
         """Return ``ln det(I + V^1/2 X^T X V^1/2)`` for prior variances V (p,): the Occam factor of the columns."""
@@ -121,21 +123,20 @@ class NormalMatrix:
         """Return the effective number of parameters that the readings determine beside prior precisions (p,)."""
         return len(precision) - float(np.sum(precision * np.diag(self.with_priors(precision).covariance)))
 
-    def behind(self, flat: int, precision: Array) -> tuple[NormalMatrix, float]:
+    def behind(self, flat: int, precision: Array) -> NormalMatrix:
         """Eliminate the first ``flat`` columns, with prior precisions (flat,); return the equations of the others.
 
-        The second value is the effective number of the eliminated parameters that the readings determine.
+        The coordinates become fewer by the effective number of parameters that the readings determine.
         """
-        first = NormalMatrix(self.gram[:flat, :flat], self.moment[:flat], self.square).with_priors(precision)
-        inverse = first.covariance
+        inverse = self.take(np.arange(flat)).with_priors(precision).covariance
         cross, moment = self.gram[:flat, flat:], self.moment[:flat]
         explained = inverse @ cross
-        behind = NormalMatrix(
+        return NormalMatrix(
             self.gram[flat:, flat:] - cross.T @ explained,
             self.moment[flat:] - explained.T @ moment,
             self.square - float(moment @ inverse @ moment),
+            self.coordinates - (flat - float(np.sum(precision * np.diag(inverse)))),
         )
-        return behind, flat - float(np.sum(precision * np.diag(inverse)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,13 +160,6 @@ class Solver:
     def solve(self, rhs: Array) -> Array:
         """``(X^T X + P)^-1 rhs`` for (p,) or (p, r)."""
         return self.factored.solve(rhs)
-
-    def in_standard_errors(self, step: Array) -> Array:
-        """Return a vector (p,) as long as a step (p,) in standard errors: its square is the change of the objective."""
-        scaled, factored = step / self.scale, self.factored
-        if factored.is_factor:
-            return np.asarray(factored.matrix.T @ scaled)
-        return np.sqrt(np.abs(scaled * (factored.matrix @ scaled)))
 
     @cached_property
     def factored(self) -> Factored:
@@ -268,7 +262,7 @@ hardly determine, and moves no prediction by a micrometre."""
 _LEAST_STEPS = 200
 """Steps that a fit may take at least: without a term that moves the SMR by a millimetre it follows a curved valley."""
 _SAMPLE_SEED = 0xD4A7
-"""Combined with the profile's seed, so that the draws of parameters are independent of all other draws."""
+"""Combined with the profile's seed, so that the samples of parameters are independent of all other samples."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -383,11 +377,11 @@ class JointFit:
         log_variance = -2.0 * float(np.sum(np.log(np.einsum("aan->an", self.white))))
         flat = int(np.count_nonzero(~smooth))
         order = np.argsort(smooth, kind="stable")
-        rest, determined = self.normal.take(order).behind(flat, self.precision[order[:flat]])
+        rest = self.normal.take(order).behind(flat, self.precision[order[:flat]])
         of_geometry = self.normal.take(np.arange(first)).determined(self.precision[:first])
         freedom = max(len(self.residual) - of_geometry, 1.0)
         scatter = log_variance * freedom / len(self.residual)
-        price = determined * math.log(freedom)
+        price = (self.normal.coordinates - rest.coordinates) * math.log(freedom)
         return square + scatter + price + rest.log_occam(1.0 / self.precision[smooth])
 
     def residual_without(self, term: int) -> ProjectedResidual:
@@ -442,9 +436,7 @@ class JointFit:
     @property
     def geometry_mean(self) -> Array:
         """Means of the priors (K,) of the geometric parameters: nominal, or the bound at which one is held."""
-        found, columns = self.identification, list(self.identification.estimated.columns)
-        held = np.isin(found.estimated.names, [*found.geometry.at_bound])
-        return np.where(held, found.geometry.vector()[columns], self.model.nominal.vector()[columns])
+        return self.identification.mean[: self.layout.geometric]
 
     @cached_property
     def target(self) -> Array:
@@ -504,7 +496,7 @@ def _linearised(data: ArmData, terms: ModelTerms, found: Identification, columns
         white=white,
         by_joint=linear.by_joint,
         rows=linear.rows,
-        precision=_precision(data, found, layout, columns),
+        precision=found.precision,
         residual=np.einsum("acn,nc->an", white, found.residuals).ravel(),
     )
     return _with_misfits(fit) if any(term.modulations for term in terms) else fit
@@ -517,18 +509,26 @@ def _with_misfits(fit: JointFit) -> JointFit:
 
 
 def with_posterior(data: ArmData, fit: JointFit, spread: float = 1.0) -> ArmModel:
-    """Return the fitted model with draws of its parameters and the scatter of readings, ``spread`` times as wide."""
+    """Return the fitted model with samples of its parameters and the scatter of readings, ``spread`` times as wide."""
     found = fit.identification
     kept = [*range(len(found.estimated.columns)), *range(fit.layout.geometric, fit.layout.total)]
-    samples = PosteriorSamples.of_covariance(
-        columns=found.estimated.columns,
-        sizes=[term.size for term in fit.terms],
-        covariance=found.covariance[np.ix_(kept, kept)] * spread**2,
-        noise=noise_of(data, max(found.scale, 1.0) * spread, smoothness_of(fit.terms)),
-        seed=(data.profile.seed, _SAMPLE_SEED),
-        tied=found.estimated.tied,
-    )
+    samples = samples_of(data, fit, found.covariance[np.ix_(kept, kept)], max(found.scale, 1.0), spread)
     return replace(fit.model, posterior=samples)
+
+
+def samples_of(
+    data: ArmData, fit: JointFit, covariance: Array, scale: float, spread: float, seed: int = _SAMPLE_SEED
+) -> PosteriorSamples:
+    """Draw parameters of a fit, ``spread`` times as wide, and state the noise of the readings, ``scale`` times it."""
+    estimated = fit.identification.estimated
+    return PosteriorSamples.of_covariance(
+        columns=estimated.columns,
+        sizes=[term.size for term in fit.terms],
+        covariance=covariance * spread**2,
+        noise=noise_of(data, scale * spread, smoothness_of(fit.terms)),
+        seed=(data.profile.seed, seed),
+        tied=estimated.tied,
+    )
 
 
 def noise_of(data: ArmData, scale: float = 1.0, smooth: Smoothness | None = None) -> ReadingsNoise:
@@ -536,7 +536,7 @@ def noise_of(data: ArmData, scale: float = 1.0, smooth: Smoothness | None = None
     noise = readings_noise(data.sigma, data.angular, scale)
     if smooth is None or not any(smooth.scatter.joints):
         return noise
-    own = uncertainty_with_scatter(data, replace(smooth.scatter, joints=()))[data.positions]
+    own = uncertainty_with_scatter(data, replace(smooth.scatter, joints=()))[data.points]
     joints_rad = scale * np.array(smooth.scatter.joints)
     return noise._replace(parts=np.array([scale * math.sqrt(mean_variance(own)), *joints_rad]))
 
@@ -660,22 +660,9 @@ def _reordered(found: Identification, effects: NDArray[np.intp]) -> Identificati
         units=tuple(found.units[i] for i in place),
         values=found.values[place],
         covariance=found.covariance[np.ix_(place, place)],
-        effect_values=found.effect_values[effects],
+        mean=found.mean[place],
+        precision=found.precision[place],
     )
-
-
-def _precision(data: ArmData, found: Identification, layout: TermLayout, columns: Sequence[EffectColumn]) -> Array:
-    """Return the prior precisions (p,) of all fitted parameters; zero where there is no prior."""
-    precision, held = np.zeros(layout.total), found.geometry.at_bound
-    for row, name in enumerate(found.names[: layout.geometric]):
-        if name in data.prior_sigma:
-            precision[row] = 1.0 / data.prior_sigma[name] ** 2
-        if name in held:
-            precision[row] = FIXED_SD**-2
-    sd = prior_sd(columns)
-    if sd is not None:
-        precision[layout.geometric :] = 1.0 / sd**2
-    return precision
 
 
 def _fitted_model(data: ArmData, found: Identification, terms: ModelTerms, layout: TermLayout) -> ArmModel:
@@ -718,7 +705,7 @@ def _fitted_model(data: ArmData, found: Identification, terms: ModelTerms, layou
 # predicted.
 
 _FOLD_SEED = 0xF01D
-"""Combined with the profile's seed, so that the folds are independent of all other draws."""
+"""Combined with the profile's seed, so that the folds are independent of all other samples."""
 
 
 def cross_validated_gain(data: ArmData, fit: JointFit, new_rows: Array) -> float:

@@ -128,7 +128,7 @@ def _detectable(scan: LawScan, slug: str, needed: float) -> _Detectable:
 
 
 _SEED = 0xF0CA
-"""Combined with the profile's seed, so that the simulated noise is independent of all other draws."""
+"""Combined with the profile's seed, so that the simulated noise is independent of all other samples."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,7 +155,7 @@ class PlannedReadings:
 def expected_readings(profile: Profile, plan: Mapping[str, Array], expected: PlannedReadings) -> dict[str, ArmReadings]:
     """Return the readings of nominal arms that are expected from a plan (arm -> q (n, N) [rad]).
 
-    Their noise is simulated, so that fits get realistic weights; no result depends on the draw beyond rounding.
+    Their noise is simulated, so that fits get realistic weights; no result depends on the sample beyond rounding.
 
     Raises
     ------
@@ -242,7 +242,8 @@ class ForecastDesign:
         priors = {**typical_spreads(model.nominal.joints), **stated}
         covariance = readings.covariance_M
         assert covariance is not None
-        return cls(name, ArmData(profile, model, readings, arm.conditions, covariance, covariance, estimated, priors))
+        its = {**vars(arm.quantities()), "sigma": covariance}
+        return cls(name, ArmData(**its, profile=profile, model=model, parameter_set=estimated, prior_sigma=priors))
 
     def with_scatter(self, scatter_m: float) -> ForecastDesign:
         """Return the design with a scatter of every coordinate [m] beside the tracker's noise."""

@@ -35,9 +35,10 @@ terms, and its lead over the threshold is limited in the same way if a larger ef
 Alternatives that tie share the probability.
 
 The library may also lack the cause, and a name stand in for it. Before a search the odds of that are 1 to 9. A law that
-is right leaves little of what it removes. Let w = left / (left + removed) be the share of sums of squares, where left
-is what remains beyond the stated noise; its density is (k + 1)(1 - w)^k with k = 5. A law that stands in for something
-else leaves any share: w is uniform. So each named effect has a set in which another cause is in its place, with
+is right leaves little of what it removes. Let w = residual / (residual + removed) be the share of sums of squares,
+where left is what remains beyond the stated noise; its density is (k + 1)(1 - w)^k with k = 5. A law that stands in for
+something else leaves any share: w is uniform. So each named effect has a set in which another cause is in its place,
+with
 
     ln weight = -ln 9 - ln(k + 1) - k ln(1 - w).
 
@@ -51,7 +52,7 @@ choosing it. A law that beats the effect's score by the same measure has G / 2 i
 
     ln weight = -ln 9 - (score - threshold - G) / 2.
 
-So no name is more probable than 98 %, and one that removes clearly less than what is left is not accepted. (Bayes
+So no name is more probable than 98 %, and one that removes clearly less than what remains is not accepted. (Bayes
 factors: Kass, Raftery, J. Am. Stat. Ass. 90 (1995) 773; averages over models: Hoeting et al., Stat. Sci. 14 (1999)
 382.)
 """

@@ -258,26 +258,6 @@ _RIDGE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class ProcessData:
-    """G (m, m), b (m,) and y^T y of the columns of some components in order; d independent coordinates."""
-
-    gram: Array
-    moment: Array
-    square: float
-    coordinates: float
-
-    @classmethod
-    def behind(cls, normal: NormalMatrix, flat: int, precision: Array, coordinates: int) -> ProcessData:
-        """Eliminate the first ``flat`` columns, with prior precisions (flat,), and keep the others."""
-        rest, determined = normal.behind(flat, precision)
-        return cls(rest.gram, rest.moment, rest.square, coordinates - determined)
-
-    def take(self, places: NDArray[np.intp]) -> ProcessData:
-        """Return the data of some of the columns."""
-        return ProcessData(self.gram[np.ix_(places, places)], self.moment[places], self.square, self.coordinates)
-
-
-@dataclass(frozen=True, eq=False)
 class Hyperparameters:
     """Amplitudes of each component, its length scale (1 if it has none), and the noise variance s."""
 
@@ -330,7 +310,7 @@ class ProcessEvidence:
     misfit: float
 
     @classmethod
-    def of(cls, data: ProcessData, variance: Array, noise: float) -> ProcessEvidence | None:
+    def of(cls, data: NormalMatrix, variance: Array, noise: float) -> ProcessEvidence | None:
         """Compute the evidence; None if the matrix is not positive definite, as the noise is nearly zero."""
         active = np.flatnonzero(variance * np.diag(data.gram) > NEGLIGIBLE_COLUMN * noise)
         root = np.sqrt(variance[active])
@@ -374,7 +354,7 @@ class ProcessEvidence:
         return 0.5 * np.append(by_variance @ T, by_noise), 0.5 * information
 
 
-def losses(data: ProcessData, variance: Array, noise: float, ends: Sequence[int]) -> Array:
+def losses(data: NormalMatrix, variance: Array, noise: float, ends: Sequence[int]) -> Array:
     """Return the loss of log evidence (c,) without each of c consecutive groups of columns, which end at ``ends``.
 
     With x the solution of A x = b for all columns, and C = A^-1, the loss without the group g follows from its blocks:
@@ -436,7 +416,7 @@ class _Packing:
         return np.hstack([scipy.linalg.block_diag(*amplitudes), scipy.linalg.block_diag(*lengths)])
 
 
-def first_guess(components: Sequence[Component], data: ProcessData) -> Hyperparameters:
+def first_guess(components: Sequence[Component], data: NormalMatrix) -> Hyperparameters:
     """Return start values of the hyperparameters: all variance is noise, as from less the evidence can rise to none."""
     return Hyperparameters(
         tuple(np.full(len(one.amplitude_keys), one.start) for one in components),
@@ -445,7 +425,7 @@ def first_guess(components: Sequence[Component], data: ProcessData) -> Hyperpara
     )
 
 
-def most_evident(components: Sequence[Component], data: ProcessData, start: Hyperparameters) -> Hyperparameters:
+def most_evident(components: Sequence[Component], data: NormalMatrix, start: Hyperparameters) -> Hyperparameters:
     """Maximise the evidence near ``start`` by Fisher scoring (Longford, Biometrika 74 (1987) 817)."""
     packing = _Packing(tuple(components))
     low, high = np.array(packing.bounds(data.square / data.coordinates)).T
@@ -495,13 +475,13 @@ class StructuredProcess:
     ----------
     components : tuple of Component
     values : Hyperparameters
-    gram : ProcessData
+    gram : NormalMatrix
         Gram matrix of their columns.
     """
 
     components: tuple[Component, ...]
     values: Hyperparameters
-    gram: ProcessData
+    gram: NormalMatrix
 
     @classmethod
     def fitted(cls, fit: JointFit, chosen: Sequence[Component], start: Hyperparameters | None) -> StructuredProcess:
@@ -569,11 +549,11 @@ class StructuredProcess:
         return [2.0 * loss - self.price(number) for number, loss in enumerate(lost.tolist())]
 
 
-def gathered(fit: JointFit, chosen: Sequence[Component]) -> ProcessData:
+def gathered(fit: JointFit, chosen: Sequence[Component]) -> NormalMatrix:
     """Compute the Gram matrix of the components' columns in the complement of all parameters of a fit."""
     rows = np.concatenate([fit.rows, *(one.rows for one in chosen)])
     normal = NormalMatrix.of(rows, fit.target)
-    return ProcessData.behind(normal, len(fit.rows), fit.precision, len(fit.residual))
+    return normal.behind(len(fit.rows), fit.precision)
 
 
 def fit_process(

@@ -235,7 +235,7 @@ class Noise(Record):
 
 
 class StructureTest(Record):
-    """p-value of the residual against one kind of structure: small where what is left still follows it."""
+    """p-value of the residual against one kind of structure: small where the residual still follows it."""
 
     against: StructureKind
     p_value: float
@@ -308,7 +308,7 @@ class ArmDiscoveryResult(Record):
 
     ``validate`` has the held-out errors of the model with what was found; it is empty where nothing was.
     ``network_mm`` is the rms correction of a residual network trained before and after the effects were added.
-    ``scatter`` is the root of chi-square per degree of freedom of what is left, ``omnibus_p`` its p-value.
+    ``scatter`` is the root of chi-square per degree of freedom of the residuals, ``omnibus_p`` its p-value.
     ``candidates`` has the posterior probability of every effect that was tested, by its slug.
     ``left_out_configurations`` are those of readings with gross errors, on which nothing here rests.
     ``heldout_orientation_mrad`` and ``noise_mrad``, the standard deviation of a component about the model, are there

@@ -40,13 +40,13 @@ from cellapp.robot.kinematics.transforms import Array
 CHANCE = 0.01
 """Probability that pure noise is reported as structure, over all tests."""
 _SIGNS = 200
-"""Number of draws of random signs: they determine the skewness to 0.17, enough for the tail."""
+"""Number of samples of random signs: they determine the skewness to 0.17, enough for the tail."""
 _SIGN_SEED = 0x516
-"""Combined with the profile's seed, so that the signs are independent of all other draws."""
+"""Combined with the profile's seed, so that the signs are independent of all other samples."""
 _NEIGHBOURS = 6
 """Neighbours of each reading: fewer lose power against smooth structure, more lose power against short periods."""
 _MOST_PAIRS = 20_000
-"""Largest number of pairs in one test, drawn at random. It bounds time and memory for many readings."""
+"""Largest number of pairs in one test, sampled at random. It bounds time and memory for many readings."""
 _LONGEST = 3.0
 """Residual vectors are shortened to this multiple of their median length: an outlier says nothing about structure."""
 _LEAST_SKEWNESS = 1.6e-5
@@ -178,9 +178,9 @@ class _Tests:
         components = np.stack([np.sum(self.residuals * one, axis=1) for one in (beam, horizontal, upward)])
         return [
             p
-            for driver in (distance, azimuth, elevation)
-            if np.ptp(driver) > 0.0
-            for p in self._of_components(_along(driver), components)
+            for value in (distance, azimuth, elevation)
+            if np.ptp(value) > 0.0
+            for p in self._of_components(_along(value), components)
         ]
 
     @property

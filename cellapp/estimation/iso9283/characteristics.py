@@ -159,19 +159,19 @@ def _require_cycles(values: Array) -> None:
 
 # -- Characteristics with their expanded uncertainties, by Monte Carlo simulation (JCGM 101:2008) ---------------------
 #
-# Cycles are drawn from the mean and the covariance of the measured ones. Each draw is widened for the uncertainty of a
-# scatter from n cycles (t distribution of n - 1 degrees of freedom, JCGM 101:2008, 6.4.9), and the formula of the
-# characteristic is applied to it. Errors of the tracker and of the base frame are drawn once for all cycles of a
+# Cycles are sampled from the mean and the covariance of the measured ones. Each sample is widened for the uncertainty
+# of a scatter from n cycles (t distribution of n - 1 degrees of freedom, JCGM 101:2008, 6.4.9), and the formula of the
+# characteristic is applied to it. Errors of the tracker and of the base frame are sampled once for all cycles of a
 # position: the tracker's stated covariance does not say which part of it scatters from cycle to cycle, so all of it
 # counts as common. A repeatability may also contain it: its uncertainty includes the change from removing that
-# scatter. The expanded uncertainty is the half-width about the median that holds 95.45 % of the draws: for a normal
+# scatter. The expanded uncertainty is the half-width about the median that holds 95.45 % of the samples: for a normal
 # distribution this is the coverage factor 2.
 
 _COVERAGE = 0.9545
 _SAMPLES = 1000
-"""Number of draws: they give a standard deviation to 2 %."""
+"""Number of samples: they give a standard deviation to 2 %."""
 _PATH_SAMPLES = 200
-"""Number of draws for a path, which has hundreds of times as many coordinates; its uncertainty is known to 5 %."""
+"""Number of samples for a path, which has hundreds of times as many coordinates; its uncertainty is known to 5 %."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,12 +206,12 @@ class Cycles:
         return np.atleast_2d(np.cov(self.attained, rowvar=False))
 
     def samples(self, rng: np.random.Generator) -> Array:
-        """Draw simulated cycles (D, n, 3) [m], without errors that all cycles share."""
+        """Sample simulated cycles (D, n, 3) [m], without errors that all cycles share."""
         noise = rng.multivariate_normal(np.zeros(3), self.scatter, size=(_SAMPLES, self.n), method="eigh")
         return np.asarray(self.attained.mean(axis=0) + _widened(rng, self.n, (_SAMPLES, 1, 1)) * noise)
 
     def common(self, rng: np.random.Generator) -> Array:
-        """Draw simulated errors (D, 1, 3) [m] that all cycles share."""
+        """Sample simulated errors (D, 1, 3) [m] that all cycles share."""
         sampled = rng.multivariate_normal(np.zeros(3), self.tracker + self.frame, size=_SAMPLES, method="eigh")
         return np.asarray(sampled[:, None])
 
@@ -306,7 +306,7 @@ def _with_tracker(value: float, sampling: float, tracker: float) -> float:
 
 
 def _widened(rng: np.random.Generator, n: int, shape: tuple[int, ...]) -> Array:
-    """Draw factors from the standard deviation of n cycles to possible values of the true one."""
+    """Sample factors from the standard deviation of n cycles to possible values of the true one."""
     return np.asarray(np.sqrt((n - 1) / rng.chisquare(n - 1, shape)))
 
 

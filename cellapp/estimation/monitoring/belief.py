@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.least_squares import excess_variance, mean_variance
 from cellapp.estimation.calibration.parameters import ParameterSet
-from cellapp.estimation.calibration.quantities import ArmReadings, states_nothing
-from cellapp.estimation.prior.belief import Measured, Posterior, design, is_smooth
+from cellapp.estimation.calibration.quantities import ArmReadings, Quantities, measured_quantities, states_nothing
+from cellapp.estimation.prior.belief import Posterior, design, is_smooth
 from cellapp.estimation.prior.calibrate import calibration_posterior
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
@@ -116,7 +116,7 @@ class ArmBelief:
         Rms motion of the SMR by effects of the day of the calibration, such as drift, of which today's are unknown [m].
     promised_m : float
         Root mean square length of the error of a prediction over the readings of the calibration [m].
-    measured : Measured
+    measured : Quantities
         The readings of the calibration without gross errors, in the frame of ``model``: positions, then orientations
         where the check measures them.
     residuals : array, shape (n, 3)
@@ -130,11 +130,11 @@ class ArmBelief:
     of_rotations: KnownSd
     day_m: float
     promised_m: float
-    measured: Measured
+    measured: Quantities
     residuals: Array
 
     @property
-    def positions(self) -> Measured:
+    def positions(self) -> Quantities:
         """The positions among the readings of the calibration."""
         return self.measured.positions
 
@@ -143,12 +143,12 @@ class ArmBelief:
         """Covariance (n, 3, 3) of the calibration's vectors from a unit variance of every joint [m^2/rad^2]."""
         return _levers(self.model, self.measured)
 
-    def kinds(self, measured: Measured) -> list[tuple[NDArray[np.bool_], KnownSd]]:
+    def kinds(self, measured: Quantities) -> list[tuple[NDArray[np.bool_], KnownSd]]:
         """Return the masks (n,) of positions and of orientations, where there are some, each with its scatter."""
         found = ((measured.points, self.of_points), (~measured.points, self.of_rotations))
         return [(rows, scatter) for rows, scatter in found if rows.any()]
 
-    def unremembered(self, measured: Measured, again: Array) -> Array:
+    def unremembered(self, measured: Quantities, again: Array) -> Array:
         """Return ``KnownSd.unremembered`` of each vector."""
         found = np.ones(len(measured))
         for rows, scatter in self.kinds(measured):
@@ -241,14 +241,14 @@ def check_belief(
     }
     arms = {}
     for name, arm in ArmReadings.of_cell(profile, model.arms, own).items():
-        watched = watching(replace(arm.model, network=None), Measured.of(arm.readings, arm.conditions))
+        watched = watching(replace(arm.model, network=None), arm.quantities())
         arms[name] = arm_belief(*calibration_posterior(replace(arm, model=watched)))
     if T_new_old is not None:
         arms = {name: _relocated(arm, T_new_old) for name, arm in arms.items()}
     return CheckBelief(arms, station)
 
 
-def watched_terms(model: ArmModel, measured: Measured) -> tuple[EffectTerm, ...]:
+def watched_terms(model: ArmModel, measured: Quantities) -> tuple[EffectTerm, ...]:
     """Return terms of value zero for effects of wear that the model lacks, at joints where readings can show them."""
     context = model.context(measured.readings.q, conditions=measured.conditions)
     present = {(term.slug, name) for term in model.effects if not is_smooth(term) for name in term.names}
@@ -266,12 +266,12 @@ def watched_terms(model: ArmModel, measured: Measured) -> tuple[EffectTerm, ...]
     return tuple(found)
 
 
-def watching(model: ArmModel, measured: Measured) -> ArmModel:
+def watching(model: ArmModel, measured: Quantities) -> ArmModel:
     """Return the model with the watched terms that it lacks."""
     return replace(model, effects=(*model.effects, *watched_terms(model, measured)))
 
 
-def arm_belief(found: Posterior, measured: Measured) -> ArmBelief:
+def arm_belief(found: Posterior, measured: Quantities) -> ArmBelief:
     """Build the belief of one arm from the posterior of its readings."""
     X = design(found.model, measured, found.prior.columns).reshape(-1, 3, len(measured))
     promised = np.einsum("pan,pq,qbn->nab", X, found.covariance, X, optimize=True)
@@ -302,7 +302,7 @@ def _scatter(found: Posterior, promised: Array, rows: NDArray[np.bool_], arm: fl
     return KnownSd(math.sqrt(mean_variance(sigma) + excess), math.sqrt(arm**2 + excess))
 
 
-def _day_m(model: ArmModel, measured: Measured) -> float:
+def _day_m(model: ArmModel, measured: Quantities) -> float:
     """Compute the rms motion [m] of the SMR over the calibration's readings by effects of that day, such as drift."""
     rest = replace(model, effects=tuple(term for term in model.effects if not _is_of_day(term)))
     if len(rest.effects) == len(model.effects):
@@ -317,14 +317,14 @@ def _is_of_day(term: EffectTerm) -> bool:
     return bool((term.law.form.variables or EFFECTS[term.slug].variables) & _OF_DAY)
 
 
-def measured_vectors(arm: ArmBelief, readings: Readings, conditions: MeasurementConditions) -> Measured:
+def measured_vectors(arm: ArmBelief, readings: Readings, conditions: MeasurementConditions) -> Quantities:
     """Collect measured positions of an arm, then the orientations that its belief can predict."""
     if arm.model.geometry.probe is None:
         readings = replace(readings, quaternion_M=None)
-    return Measured.of(readings, conditions)
+    return measured_quantities(readings, conditions)
 
 
-def noise_covariance(arm: ArmBelief, measured: Measured, again: Array) -> Array:
+def noise_covariance(arm: ArmBelief, measured: Quantities, again: Array) -> Array:
     """Compute the covariance (n, 3, 3) [m^2, rad^2] of measured vectors: stated uncertainty plus the arm's scatter
     about what is expected with shares ``again`` (n,) of the calibration's residuals.
 
@@ -345,7 +345,7 @@ def noise_covariance(arm: ArmBelief, measured: Measured, again: Array) -> Array:
     return whole
 
 
-def _levers(model: ArmModel, measured: Measured) -> Array:
+def _levers(model: ArmModel, measured: Quantities) -> Array:
     """Compute the covariance (n, 3, 3) of measured vectors from a unit variance of every joint [m^2/rad^2]."""
     names = all_names(model.geometry.joints)
     joints = tuple(names.index(f"theta{joint + 1}") for joint in range(model.geometry.joints))

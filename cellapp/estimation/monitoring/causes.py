@@ -370,7 +370,7 @@ def _tells(design: Design, cause: Alternative, sizes: Array, other: Alternative)
 # parameters, which enter linearly. An orientation turns with it.
 
 LARGE_M = 5e-4
-"""Errors above this are registered first: a turn of that size leaves second-order errors below a micrometre."""
+"""Errors above this are registered first: a rotation of that size leaves second-order errors below a micrometre."""
 _STEPS = 9
 """Steps at most; two to four are usual."""
 _SMALL = 1e-9

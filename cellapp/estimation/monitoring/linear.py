@@ -16,12 +16,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import get_args
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from cellapp.estimation.calibration.quantities import conditions_of_arms
+from cellapp.estimation.calibration.quantities import Quantities, conditions_of_arms
 from cellapp.estimation.monitoring.belief import (
     LENGTH_M,
     ROTATION_RAD,
@@ -32,10 +33,11 @@ from cellapp.estimation.monitoring.belief import (
     measured_vectors,
     noise_covariance,
 )
-from cellapp.estimation.prior.belief import Measured, design, is_own, is_smooth, term_columns
-from cellapp.estimation.prior.update import parameter_words
+from cellapp.estimation.prior.belief import design, is_own, is_smooth, term_columns
+from cellapp.estimation.prior.update import change_names
 from cellapp.estimation.readings import Readings
-from cellapp.robot.effects import EFFECTS, MeasurementConditions
+from cellapp.ground.grouping import grouped
+from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.chain import all_names, parameter_names, parameter_unit
 from cellapp.robot.kinematics.transforms import Array, twist_columns
 
@@ -90,8 +92,7 @@ def directions_of(belief: CheckBelief) -> list[Changing]:
         for k, words in enumerate(_TWIST_WORDS)
     ]
     for name, arm in belief.arms.items():
-        found += _of_geometry(name, arm)
-        found += _of_effects(name, arm)
+        found += _of_arm(name, arm)
     return found
 
 
@@ -100,11 +101,8 @@ def alternatives_of(directions: Sequence[Changing]) -> list[Alternative]:
 
     Each parameter is an alternative; so are all values of an effect at one place together.
     """
-    places: dict[tuple[str, ChangeKind, str], list[int]] = {}
-    for k, one in enumerate(directions):
-        what = {"tracker": "tracker", "base": "base", "smr": "SMR"}.get(one.kind, one.what)
-        places.setdefault((one.arm, one.kind, what), []).append(k)
-    order = ("tracker", "base", "smr", "parameter", "effect")
+    rigid, order = {"tracker": "tracker", "base": "base", "smr": "SMR"}, get_args(ChangeKind)
+    places = grouped(((one.arm, one.kind, rigid.get(one.kind, one.what)), k) for k, one in enumerate(directions))
     found = [Alternative(*key, tuple(members)) for key, members in places.items()]
     return sorted(found, key=lambda one: order.index(one.kind))
 
@@ -114,37 +112,30 @@ def centre_of(belief: CheckBelief) -> Array:
     return np.asarray(np.concatenate([arm.positions.readings.p_M for arm in belief.arms.values()]).mean(axis=0))
 
 
-def _of_geometry(name: str, arm: ArmBelief) -> list[Changing]:
-    joints = arm.model.geometry.joints
-    names, found = all_names(joints), []
-    for place, column in enumerate(arm.columns):
-        word = names[column]
-        kind: ChangeKind = "parameter" if is_own(column, joints) else ("base" if column < 6 else "smr")
-        what = parameter_words(word) if kind == "parameter" else f"{kind} {word}"
-        unit = parameter_unit(word)
-        found.append(Changing(name, kind, what, (place,), LENGTH_M if unit == "m" else ROTATION_RAD, unit))
-    return found
-
-
-def _of_effects(name: str, arm: ArmBelief) -> list[Changing]:
-    """List values of laws; a step moves the SMR by 0.05 mm rms over the readings of the calibration.
+def _of_arm(name: str, arm: ArmBelief) -> list[Changing]:
+    """List geometric parameters, growth, and values of laws, a step of which moves the SMR by 0.05 mm rms over the
+    readings of the calibration.
 
     If orientation is measured, motion and rotation count together, with 50 µrad equal to 0.05 mm.
 
     Values of free functions are left out (many, and small by their priors), and values whose step is physically
     impossible: a joint without load shows no stiffness.
     """
-    columns = term_columns(arm.model, arm.measured)
-    every = design(arm.model, arm.measured, arm.columns)
-    rms = np.sqrt(np.sum(every[len(arm.columns) :] ** 2, axis=1) / len(arm.positions))
-    found, place = _growth(name, arm, every), len(arm.columns)
-    for term in arm.model.effects:
-        for value, unit in enumerate(term.units):
-            k = place - len(arm.columns)
-            if not is_smooth(term) and value < len(term.law_names) and rms[k] * columns[k].upper > LENGTH_M:
-                what = f"{EFFECTS[term.slug].title}, {columns[k].where}"
-                found.append(Changing(name, "effect", what, (place,), LENGTH_M / float(rms[k]), unit))
-            place += 1
+    joints, columns = arm.model.geometry.joints, term_columns(arm.model, arm.measured)
+    names, words = all_names(joints), change_names(joints, arm.columns, arm.model.effects, columns)
+    every, found = design(arm.model, arm.measured, arm.columns), []
+    for place, column in enumerate(arm.columns):
+        kind: ChangeKind = "parameter" if is_own(column, joints) else ("base" if column < 6 else "smr")
+        what = words[place] if kind == "parameter" else f"{kind} {names[column]}"
+        unit = parameter_unit(names[column])
+        found.append(Changing(name, kind, what, (place,), LENGTH_M if unit == "m" else ROTATION_RAD, unit))
+    found += _growth(name, arm, every)
+    rms = np.sqrt(np.sum(every**2, axis=1) / len(arm.positions))
+    terms = [(term, value) for term in arm.model.effects for value in range(len(term.names))]
+    for place, ((term, value), own) in enumerate(zip(terms, columns, strict=True), len(arm.columns)):
+        if not is_smooth(term) and value < len(term.law_names) and rms[place] * own.upper > LENGTH_M:
+            step = LENGTH_M / float(rms[place])
+            found.append(Changing(name, "effect", words[place], (place,), step, term.units[value]))
     return found
 
 
@@ -213,7 +204,7 @@ def conditions_now(belief: CheckBelief, readings: Mapping[str, Readings]) -> dic
     return {name: replace(own, time_s=None, order=None, record=None) for name, own in found.items()}
 
 
-def _remembered(arm: ArmBelief, its: Measured) -> tuple[Array, Array]:
+def _remembered(arm: ArmBelief, its: Quantities) -> tuple[Array, Array]:
     """Return the calibration's residuals (n, 3) at the same stops, and the shares (n,) of them that are expected."""
     residuals, again = np.zeros((len(its), 3)), np.zeros(len(its))
     known = arm.measured
@@ -224,7 +215,7 @@ def _remembered(arm: ArmBelief, its: Measured) -> tuple[Array, Array]:
     return residuals, again
 
 
-def _sided(its: Measured, rows: NDArray[np.bool_]) -> Array:
+def _sided(its: Quantities, rows: NDArray[np.bool_]) -> Array:
     """Return joint positions, then sides of approach as far less than a stop: of equal stops, that of this side."""
     return np.hstack([its.readings.q[rows], _SIDE_RAD * its.readings.approach[rows]])
 
@@ -352,7 +343,7 @@ def _add_noise(K: Array, first: int, blocks: Array) -> None:
 # -- How far a change moves the SMR at the calibration's readings, of which its visible size follows ------------------
 
 
-def motions(belief: CheckBelief, name: str, measured: Measured, directions: Sequence[Changing]) -> Array:
+def motions(belief: CheckBelief, name: str, measured: Quantities, directions: Sequence[Changing]) -> Array:
     """Compute the motion (C, n, 3) [m, rad] of n measured vectors of an arm by one step of each direction."""
     arm = belief.arms[name]
     X = design(arm.model, measured, arm.columns).reshape(-1, 3, len(measured)).transpose(0, 2, 1)

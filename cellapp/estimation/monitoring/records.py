@@ -24,8 +24,8 @@ class FoundChange(Record):
 
     ``value`` and ``standard_error`` are of the change, in ``unit``; ``p_value`` is its chance, corrected for the number
     of changes that were tested; ``moved_mm`` the rms displacement of the SMR by it over the readings of the
-    calibration, ``turned_mrad`` the rms turn of its probe, where orientation was measured. ``rivals`` are changes that
-    explain the stops about as well.
+    calibration, ``turned_mrad`` the rms rotation of its probe, where orientation was measured. ``rivals`` are changes
+    that explain the stops about as well.
     """
 
     arm: str

@@ -34,6 +34,7 @@ from cellapp.estimation.calibration.quantities import (
     evaluate,
     measurement_conditions,
     repeatability,
+    summary_mm,
 )
 from cellapp.estimation.calibration.records import MotionResult
 from cellapp.estimation.discovery.accepted import accepted_effect
@@ -67,7 +68,7 @@ from cellapp.estimation.readings.readings import joined
 from cellapp.ground.errors import InputError, with_not_fitted
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import UNATTENDED, UNTOLD, JobSteps, JobToken, Told, ignore_words
-from cellapp.ground.results import ErrorSummary, Estimate, Stage, StageErrors
+from cellapp.ground.results import Estimate, Stage, StageErrors
 from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
 from cellapp.robot.kinematics.chain import Geometry, smr_positions
 from cellapp.robot.kinematics.transforms import Array, invert
@@ -190,7 +191,7 @@ def samples_of(fit: MotionFit, joints: int, at_rest: Callable[[TimedPath, Array]
         share = _SAMPLES // len(fit.recordings) + 1
         for word, chosen, most in (("identify", one.track.learnt, share), ("validate", one.track.held_out, share // 3)):
             most = min(most, math.ceil(np.count_nonzero(chosen) * one.track.stamps.period_s / _APART_S))
-            rows = _past_turns(one, thinned(np.flatnonzero(chosen), _TRIED * most))
+            rows = _past_reversals(one, thinned(np.flatnonzero(chosen), _TRIED * most))
             parts.append((word, one, thinned(rows, most)))
     n = sum(len(rows) for *_, rows in parts)
     times = [(one.track.path, one.track.controller_times(rows, one.offsets_s, one.rate)) for _, one, rows in parts]
@@ -211,7 +212,7 @@ def samples_of(fit: MotionFit, joints: int, at_rest: Callable[[TimedPath, Array]
     )
 
 
-def _past_turns(one: RecordingFit, rows: NDArray[np.intp]) -> NDArray[np.intp]:
+def _past_reversals(one: RecordingFit, rows: NDArray[np.intp]) -> NDArray[np.intp]:
     """Return the points at which no joint has just reversed; all points if there is none."""
     path, time_s = one.track.path, one.track.controller_times(rows, one.offsets_s, one.rate)
     q = path.at(time_s)[0]
@@ -256,7 +257,7 @@ def _errors_in_motion(name: str, fit: MotionFit) -> dict[Stage, StageErrors]:
             " or leave the column out"
         )
     errors: dict[Stage, Array] = {"nominal": nominal, "geometry": found}
-    return {stage: StageErrors(position_mm=error_summary(mm)) for stage, mm in errors.items()}
+    return {stage: StageErrors(position_mm=summary_mm(mm)) for stage, mm in errors.items()}
 
 
 def _stated_mm(readings: Readings, recordings: Sequence[Recording]) -> float | None:
@@ -281,17 +282,6 @@ def _motion_result(fit: MotionFit, errors: Mapping[Stage, StageErrors]) -> Motio
         validate_=errors,
         undetermined=fit.undetermined,
     )
-
-
-# -- Statistics of errors in motion -----------------------------------------------------------------------------------
-
-
-def error_summary(mm: Array) -> ErrorSummary:
-    """Return statistics of correlated errors [mm], without a confidence interval of their mean."""
-    p50, p95 = np.quantile(mm, [0.5, 0.95]).tolist()
-    std = float(mm.std(ddof=1)) if len(mm) > 1 else 0.0
-    rms, mean, most = float(np.sqrt(np.mean(mm**2))), float(mm.mean()), float(mm.max())
-    return ErrorSummary(mean=mean, rms=rms, std=std, max=most, p50=p50, p95=p95, n=len(mm))
 
 
 # -- Residual network from all points of an arm's recordings, and from its readings at rest ---------------------------
@@ -323,7 +313,7 @@ def train_arm_in_motion(
     q, off_M = _held_out(arm, readings, fit)
     correction = arm.model.network.correct(q) @ arm.model.geometry.T_M_B()[:3, :3].T
     mm = np.linalg.norm(off_M - correction, axis=1) * 1e3
-    return replace(arm, validate={**arm.validate, "network": StageErrors(position_mm=error_summary(mm))})
+    return replace(arm, validate={**arm.validate, "network": StageErrors(position_mm=summary_mm(mm))})
 
 
 def _joined(parts: Sequence[_Residuals]) -> _Residuals:

@@ -366,8 +366,8 @@ def _identification(problem: Fittings, solution: Solution, model: Model) -> Iden
         units=chosen.units,
         values=problem.mean[:size][kept] + to_table @ (solution.values[:size] - problem.mean[:size]),
         covariance=in_table,
-        effect_values=np.zeros(0),
-        iterations=len(solution.steps),
+        mean=problem.mean[:size],
+        precision=solution.precision[:size],
         converged=True,  # else ``solve`` refused it
         message="converged",
         scale=float(np.median([source.sigma_m for source in solution.sources])),

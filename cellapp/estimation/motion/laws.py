@@ -167,14 +167,14 @@ class TimedPath:
         """Return the lost motion (n,) that a joint at positions ``q`` (n,) after ``samples`` (n,) has not yet taken up:
         ``d`` just after a start from the middle, 0 after a long travel; up to ``2 d`` after a reversal from the other
         edge, if kept."""
-        turns = self._turns[joint]
-        number = turns.number[samples]
-        side = turns.side[number]
+        reversals = self._reversals[joint]
+        number = reversals.number[samples]
+        side = reversals.side[number]
         if not fading.kept:
-            travel = np.abs(q - turns.q[number]) / fading.reach
+            travel = np.abs(q - reversals.q[number]) / fading.reach
             return np.asarray(side * np.exp(-(travel**2 if fading.bell else travel)))
         taken_up = q[:, None] / _WIDTHS
-        taken_up -= turns.plays[number]
+        taken_up -= reversals.plays[number]
         return np.asarray(side - np.clip(taken_up, -1.0, 1.0, out=taken_up) @ fading.shares())
 
     def travel_at(self, time_s: Array, q: Array) -> Array:
@@ -182,28 +182,28 @@ class TimedPath:
         reversed, or began to move after a gap of the recording. At rest it is the last motion."""
         samples = self.samples_at(time_s)
         return np.column_stack(
-            [q[:, joint] - turns.q[turns.number[samples]] for joint, turns in enumerate(self._turns)]
+            [q[:, joint] - reversals.q[reversals.number[samples]] for joint, reversals in enumerate(self._reversals)]
         )
 
     @cached_property
-    def _turns(self) -> tuple[_Turns, ...]:
+    def _reversals(self) -> tuple[_Reversals, ...]:
         """Reversals of each joint."""
         begun = np.zeros(len(self.direction), dtype=np.bool_)
         begun[[first for first, _ in _runs(self.stamps)]] = True
         found = []
         for joint, direction in enumerate(self.direction.T):
-            rotated, sides = begun.copy(), np.sign(direction)
-            rotated[1:] |= (sides[1:] != sides[:-1]) & (sides[:-1] != 0.0)
-            first = np.flatnonzero(rotated)
+            reverses, sides = begun.copy(), np.sign(direction)
+            reverses[1:] |= (sides[1:] != sides[:-1]) & (sides[:-1] != 0.0)
+            first = np.flatnonzero(reverses)
             side = sides[np.append(first[1:], len(sides)) - 1]
             q = np.asarray(self._position(self.stamps.time_s[first])[:, joint])
             plays = play(np.repeat(q[:, None], len(_WIDTHS), axis=1), _WIDTHS)
-            found.append(_Turns(np.cumsum(rotated) - 1, q, side, plays / _WIDTHS))
+            found.append(_Reversals(np.cumsum(reverses) - 1, q, side, plays / _WIDTHS))
         return tuple(found)
 
 
 @dataclass(frozen=True, eq=False)
-class _Turns:
+class _Reversals:
     """Reversals of a joint and starts of runs: index (m,) of the last one at each sample; for each the position (K,)
     [rad], the direction after it (K,), and the plays of ``_WIDTHS`` there (K, W), relative to these."""
 

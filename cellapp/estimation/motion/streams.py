@@ -328,9 +328,9 @@ def _by_phase(time: Array, period: float) -> Array:
 
 def _turns(since: Array, period: float, seconds: float) -> NDArray[np.complex128]:
     """Return the mean phase of timestamps within some seconds, as complex numbers of length near 1 if phases agree."""
-    rotated = np.exp(2j * np.pi * since / period)
+    phasors = np.exp(2j * np.pi * since / period)
     return np.asarray(
-        scipy.ndimage.uniform_filter1d(rotated, 2 * max(2, round(seconds / period / 2.0)) + 1, mode="nearest")
+        scipy.ndimage.uniform_filter1d(phasors, 2 * max(2, round(seconds / period / 2.0)) + 1, mode="nearest")
     )
 
 

@@ -8,23 +8,24 @@ zeros of the first and of the last joint) then keeps its original priors.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+import operator
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property, partial, reduce
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.least_squares import excess_of_kinds, inverse_psd, shortened, solve_psd, with_excess
 from cellapp.estimation.calibration.parameters import ParameterSet, candidate_columns, typical_spreads
-from cellapp.estimation.calibration.quantities import NOT_STATED, Quantities, measured_quantities
+from cellapp.estimation.calibration.quantities import NOT_STATED, Quantities
 from cellapp.estimation.calibration.records import SignaturePart
 from cellapp.estimation.discovery.arm_data import whitening
 from cellapp.estimation.discovery.joint_fit import LinearModel, NormalMatrix
-from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import NotConverged
 from cellapp.ground.profile import Profile
-from cellapp.robot.effects import EFFECTS, EffectColumn, EffectTerm, MeasurementConditions
+from cellapp.robot.effects import EFFECTS, EffectColumn, EffectTerm
 from cellapp.robot.effects.effect import ordered_columns
 from cellapp.robot.kinematics.chain import Geometry, all_names, parameter_names
 from cellapp.robot.kinematics.transforms import Array
@@ -37,82 +38,53 @@ from cellapp.robot.model.nominal import prior_sigmas
 # rows are W [J, A]. Values are deviations from a reference: geometric parameters from those of ``reference``, effects
 # from 0. Measured orientations are rows after the positions, see ``quantities``.
 
+Vectors = TypeVar("Vectors", bound=Quantities)
 _CHUNK = 512
 """Readings in a chunk: 1500 columns of them take 18 MB."""
 
 
-@dataclass(frozen=True, eq=False)
-class Measured(Quantities):
-    """Measured vectors of one arm, and the uncertainty ``sigma`` (n,) [m] or (n, 3, 3) [m^2] that weights them."""
-
-    sigma: Array
-
-    @classmethod
-    def of(cls, readings: Readings, conditions: MeasurementConditions) -> Measured:
-        """Take all measurements of some readings, positions and then orientations, with equal weights."""
-        its = measured_quantities(readings, conditions)
-        return cls(its.reading, its.readings, its.conditions, its.stated, np.ones(len(its.readings)))
-
-    def __len__(self) -> int:
-        return len(self.readings)
-
-    def take(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> Measured:
-        """Return some of the vectors."""
-        stated = None if self.stated is None else self.stated[rows]
-        readings, conditions = self.readings.take(rows), self.conditions.take(rows)
-        return Measured(self.reading[rows], readings, conditions, stated, self.sigma[rows])
-
-    @property
-    def points(self) -> NDArray[np.bool_]:
-        """Mask (n,) of the vectors that are positions."""
-        return np.ones(len(self), dtype=np.bool_) if self.angular is None else ~self.angular
-
-    @property
-    def positions(self) -> Measured:
-        """The vectors that are positions."""
-        if self.angular is None:
-            return self
-        its = self.take(self.points)
-        return replace(its, conditions=replace(its.conditions, R_M_S=None))
-
-    def chunks(self) -> Iterator[Measured]:
-        """Yield the readings in chunks."""
-        for first in range(0, len(self), _CHUNK):
-            yield self.take(np.arange(first, min(first + _CHUNK, len(self)), dtype=np.intp))
-
-    def residuals(self, model: ArmModel) -> Array:
-        """Return measured less predicted positions (n, 3) [m], and rotations from computed to measured [rad]."""
-        computed = model.predict(self.readings.q, conditions=self.conditions)
-        return np.asarray(self.readings.p_M - computed)
-
-
-def term_columns(model: ArmModel, measured: Measured) -> list[EffectColumn]:
+def term_columns(model: ArmModel, measured: Quantities, true_q: Array | None = None) -> list[EffectColumn]:
     """Return the columns of all effects of a model, in the order of their values, at the true joint positions."""
     q, conditions = measured.readings.q, measured.conditions
-    actual = model.true_joints(q, conditions=conditions) if model.effects else None
-    context = replace(model.context(q, conditions=conditions), q_actual=actual)
+    if true_q is None:
+        true_q = model.true_joints(q, conditions=conditions)
+    context = replace(model.context(q, conditions=conditions), q_actual=true_q)
     return [column for term in model.effects for column in ordered_columns(term, EFFECTS, context)]
 
 
-def design(model: ArmModel, measured: Measured, columns: tuple[int, ...]) -> Array:
-    """Return whitened derivatives (p, 3 n) by the geometric parameters ``columns`` and by the values of all effects."""
-    white, terms = whitening(measured.sigma), term_columns(model, measured)
-    q, conditions = measured.readings.q, measured.conditions
-    actual = model.true_joints(q, conditions=conditions) if model.effects else q
-    parameters = ParameterSet("", model.geometry.joints, columns)
-    return LinearModel.of(model.geometry, actual, white, parameters, terms, conditions.R_M_S).rows
+def design(
+    model: ArmModel,
+    measured: Quantities,
+    columns: tuple[int, ...],
+    tied: tuple[tuple[int, int], ...] = (),
+    further: Sequence[EffectColumn] = (),
+) -> Array:
+    """Return whitened derivatives (p, 3 n) by the geometric parameters ``columns``, those ``tied`` to them included,
+    by the values of all effects, and by those of ``further`` columns."""
+    conditions, parameters = measured.conditions, ParameterSet("", model.geometry.joints, columns, tied=tied)
+    true_q = model.true_joints(measured.readings.q, conditions=conditions)
+    effects, white = [*term_columns(model, measured, true_q), *further], whitening(measured.sigma)
+    return LinearModel.of(model.geometry, true_q, white, parameters, effects, conditions.R_M_S).rows
 
 
-def normal_matrix(model: ArmModel, measured: Measured, columns: tuple[int, ...], reference: Geometry) -> NormalMatrix:
-    """Accumulate the normal matrix over all readings, linearised at ``model``; y is measured less the reference."""
-    deviation = values_of(model.geometry, model.effects, columns, reference)
-    total = len(deviation)
-    found = NormalMatrix(np.zeros((total, total)), np.zeros(total), 0.0)
-    for chunk in measured.chunks():
-        rows = design(model, chunk, columns)
-        target = np.einsum("acn,nc->an", whitening(chunk.sigma), chunk.residuals(model)).ravel() + deviation @ rows
-        found += NormalMatrix.of(rows, target)
-    return found
+def normal_matrix(
+    model: ArmModel,
+    measured: Vectors,
+    prior: Prior,
+    further: Callable[[Vectors], Sequence[EffectColumn]] = lambda _: (),
+) -> NormalMatrix:
+    """Accumulate the normal matrix over all readings, linearised at ``model``, with ``further`` columns of each part.
+
+    y is measured less the prior's reference.
+    """
+    deviation = values_of(model.geometry, model.effects, prior.columns, prior.reference)
+
+    def of_part(chunk: Vectors) -> NormalMatrix:
+        rows = design(model, chunk, prior.columns, prior.tied, further(chunk))
+        target = np.einsum("acn,nc->an", whitening(chunk.sigma), chunk.residuals(model)).ravel()
+        return NormalMatrix.of(rows, target + deviation @ rows[: len(deviation)])
+
+    return reduce(operator.add, map(of_part, measured.chunks(_CHUNK)))
 
 
 def values_of(geometry: Geometry, terms: Sequence[EffectTerm], columns: tuple[int, ...], reference: Geometry) -> Array:
@@ -122,16 +94,14 @@ def values_of(geometry: Geometry, terms: Sequence[EffectTerm], columns: tuple[in
     return np.concatenate([of_geometry, *(term.values for term in terms)])
 
 
-def with_values(model: ArmModel, columns: tuple[int, ...], reference: Geometry, values: Array) -> ArmModel:
+def with_values(model: ArmModel, prior: Prior, values: Array) -> ArmModel:
     """Return the model at ``values`` (p,); the reverse of ``values_of``."""
-    vector = model.geometry.vector()
-    vector[list(columns)] = reference.vector()[list(columns)] + values[: len(columns)]
-    first = len(columns)
-    terms = []
-    for term in model.effects:
-        terms.append(replace(term, values=values[first : first + len(term.values)]))
-        first += len(term.values)
-    return replace(model, geometry=model.geometry.with_vector(vector), effects=tuple(terms))
+    parameters = ParameterSet("", model.geometry.joints, prior.columns, tied=prior.tied)
+    counts = [len(prior.columns), *(len(term.values) for term in model.effects)]
+    geometric, *of_terms = np.split(values, np.cumsum(counts)[:-1])
+    geometry = parameters.moved(model.geometry, prior.reference.vector()[list(prior.columns)] + geometric)
+    terms = (replace(term, values=own) for term, own in zip(model.effects, of_terms, strict=True))
+    return replace(model, geometry=geometry, effects=tuple(terms))
 
 
 # -- Normal posterior of an arm's geometry and effects, from readings and a normal prior with any correlations --------
@@ -139,7 +109,7 @@ def with_values(model: ArmModel, columns: tuple[int, ...], reference: Geometry, 
 # The readings are weighted by their stated uncertainty and the scatter beyond it about the model. The solution is by
 # Gauss-Newton steps; near it, geometry and effects deviate from linear by a hundredth of a millimetre.
 
-_FIT = "fit of an arm with an earlier calibration or belief"
+_FIT = "fit of geometry and effects to all readings"
 _STEPS = 100
 """Most Gauss-Newton steps, each with the scatter of the one before; three to five are usual, 30 with few readings."""
 _SETTLED = 1e-3
@@ -158,13 +128,14 @@ _FIRST_SCATTER_RAD = 2e-4
 class Prior:
     """Mean (p,) and precision (p, p) of deviations from ``reference`` and of effects, see ``values_of``.
 
-    Rows and columns of the precision are zero for free parameters: base and tool.
+    Rows and columns of the precision are zero for free parameters: base and tool. ``tied`` is as in ``ParameterSet``.
     """
 
     columns: tuple[int, ...]
     reference: Geometry
     mean: Array
     precision: Array
+    tied: tuple[tuple[int, int], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,22 +150,24 @@ class Posterior:
     values: Array
     covariance: Array
     model: ArmModel
-    measured: Measured
+    measured: Quantities
     scatter_m: float
     residuals_M: Array
     scatter_rad: float = 0.0
 
 
-def posterior(model: ArmModel, measured: Measured, prior: Prior, scatter_m: float | None = None) -> Posterior:
-    """Compute the posterior from a start ``model``, whose effects the values have; a given ``scatter_m`` is fixed.
+def posterior(model: ArmModel, measured: Quantities, prior: Prior, *, weighed: bool = False) -> Posterior:
+    """Compute the posterior from a start ``model``, whose effects the values have.
 
-    No step raises the sum of squares, priors included. Raise ``NotConverged`` if values and scatter do not settle.
+    The weights follow from the scatter about the model, unless the readings are ``weighed`` already. No step raises the
+    sum of squares, priors included. Raise ``NotConverged`` if values and scatter do not settle.
     """
-    scatter = (_FIRST_SCATTER_M if scatter_m is None else scatter_m, _FIRST_SCATTER_RAD)
+    scatter = (0.0, 0.0) if weighed else (_FIRST_SCATTER_M, _FIRST_SCATTER_RAD)
     values = values_of(model.geometry, model.effects, prior.columns, prior.reference)
     for _ in range(_STEPS):
-        measured = replace(measured, sigma=_sigma(measured, *scatter))
-        normal = normal_matrix(model, measured, prior.columns, prior.reference)
+        if not weighed:
+            measured = replace(measured, sigma=_sigma(measured, *scatter))
+        normal = normal_matrix(model, measured, prior)
         found, covariance = solution(normal, prior)
         errors = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
         step = found - values
@@ -202,10 +175,10 @@ def posterior(model: ArmModel, measured: Measured, prior: Prior, scatter_m: floa
         if moved >= _SETTLED:
             step = shortened(_FIT, step, partial(_loss, model, measured, prior, values))
         values = values + step
-        model = with_values(model, prior.columns, prior.reference, values)
+        model = with_values(model, prior, values)
         residuals_M = measured.residuals(model)
         before = scatter
-        if scatter_m is None:
+        if not weighed:
             scatter = _scatter(measured, residuals_M, float(np.sum(covariance * normal.gram)))
         settled = all(abs(now - then) <= _SCATTER_SETTLED * then for now, then in zip(scatter, before, strict=True))
         if moved < _SETTLED and settled:
@@ -216,16 +189,16 @@ def posterior(model: ArmModel, measured: Measured, prior: Prior, scatter_m: floa
     return Posterior(prior, values, covariance, model, measured, before[0], residuals_M, of_rotations)
 
 
-def _loss(model: ArmModel, measured: Measured, prior: Prior, values: Array, step: Array) -> float:
+def _loss(model: ArmModel, measured: Quantities, prior: Prior, values: Array, step: Array) -> float:
     """Compute the sum of squares, priors included, a ``step`` (p,) beyond ``values``."""
     after = values + step
-    residuals_M = measured.residuals(with_values(model, prior.columns, prior.reference, after))
+    residuals_M = measured.residuals(with_values(model, prior, after))
     white = np.einsum("acn,nc->an", whitening(measured.sigma), residuals_M)
     off = after - prior.mean
     return float(np.vdot(white, white) + off @ prior.precision @ off)
 
 
-def _scatter(measured: Measured, residuals_M: Array, fitted: float) -> tuple[float, float]:
+def _scatter(measured: Quantities, residuals_M: Array, fitted: float) -> tuple[float, float]:
     """Estimate the scatter of a coordinate [m] and of an orientation component [rad] about ``fitted`` parameters.
 
     The parameters are charged to both kinds in proportion to their numbers of readings.
@@ -247,7 +220,7 @@ def solution(normal: NormalMatrix, prior: Prior) -> tuple[Array, Array]:
     return solve_psd(A, b) * unit, inverse_psd(A) * unit * unit[:, None]
 
 
-def _sigma(measured: Measured, scatter_m: float, scatter_rad: float) -> Array:
+def _sigma(measured: Quantities, scatter_m: float, scatter_rad: float) -> Array:
     if measured.stated is None:
         return np.full(len(measured), scatter_m)
     return with_excess(measured.stated, scatter_m**2, measured.angular, scatter_rad**2)
@@ -395,7 +368,7 @@ def is_smooth(term: EffectTerm) -> bool:
     return term.law.form.is_smooth
 
 
-def sizes(profile: Profile, model: ArmModel, measured: Measured) -> Array:
+def sizes(profile: Profile, model: ArmModel, measured: Quantities) -> Array:
     """Return the standard deviations (p,) of all parameters of a model before any reading, infinite without a prior."""
     columns = candidate_columns(model.geometry)
     of_geometry = geometry_sizes(profile, model, columns)

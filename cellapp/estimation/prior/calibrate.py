@@ -15,22 +15,18 @@ import numpy as np
 from cellapp.estimation.calibration.calibrate import ArmCalibration, CellCalibration, gross_errors_of_model, without
 from cellapp.estimation.calibration.identification import Identification
 from cellapp.estimation.calibration.least_squares import readings_noise
-from cellapp.estimation.calibration.pair_calibration import calibrate_pair
+from cellapp.estimation.calibration.pair_calibration import PairCalibration, calibrate_pair
 from cellapp.estimation.calibration.parameters import ParameterSet, candidate_columns, determined_set
-from cellapp.estimation.calibration.quantities import ArmReadings, evaluate_quantities, measured_orientations
+from cellapp.estimation.calibration.quantities import (
+    ArmReadings,
+    Quantities,
+    evaluate_quantities,
+    measured_orientations,
+)
 from cellapp.estimation.calibration.records import ArmPriorResult
 from cellapp.estimation.discovery.discover import discover_arm
 from cellapp.estimation.discovery.outcome import ArmFound, HeldOut
-from cellapp.estimation.prior.belief import (
-    Belief,
-    Measured,
-    Posterior,
-    Prior,
-    geometry_sizes,
-    is_smooth,
-    posterior,
-    sizes,
-)
+from cellapp.estimation.prior.belief import Belief, Posterior, Prior, geometry_sizes, is_smooth, posterior, sizes
 from cellapp.estimation.prior.update import Updated, first_model, update
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile
@@ -74,11 +70,11 @@ def believed(arm: ArmReadings, before: Belief | None = None, since: str = "") ->
 
 def calibration_posterior(
     arm: ArmReadings, before: Belief | None = None, since: str = ""
-) -> tuple[Posterior, Measured]:
+) -> tuple[Posterior, Quantities]:
     """Return the posterior of one calibrated arm from all its readings, and these without gross errors."""
     arm = arm.take(~gross_errors_of_model(arm.model, arm.readings, arm.conditions))
     model = replace(arm.model, network=None, posterior=None)
-    measured = Measured.of(arm.readings, arm.conditions)
+    measured = arm.quantities()
     if measured.angular is None:
         model = model.of_positions()
     if before is None:
@@ -100,7 +96,7 @@ def _first_prior(model: ArmModel, size: Array) -> Prior:
 
 
 _SAMPLE_SEED = 0x51D2
-"""Combined with the profile's seed, so that the draws of parameters are independent of all other draws."""
+"""Combined with the profile's seed, so that the samples of parameters are independent of all other samples."""
 
 
 def calibrate_with_prior(
@@ -126,7 +122,7 @@ def calibrate_with_prior(
     models = {name: arm.model for name, arm in arms.items()}
     with_effects, _ = calibrate_pair(profile, good, models)
     if pair is not None and with_effects is not None:
-        pair = replace(pair, methods={**pair.methods, **with_effects.methods})
+        pair = PairCalibration({**pair.methods, **with_effects.methods}, {**pair.transforms, **with_effects.transforms})
     model = replace(calibration.model, arms=models, T_R_L=None if pair is None else pair.T_R_L)
     return replace(calibration, model=model, arms=arms, pair=pair, notes=tuple(notes))
 
@@ -134,7 +130,7 @@ def calibrate_with_prior(
 def learned(arm: ArmReadings, earlier: Earlier) -> ArmReadings:
     """Return the training readings: the identify and train splits without gross errors."""
     some = arm.take(arm.readings.in_split("identify", "train"))
-    model = first_model(arm.profile, arm.name, Measured.of(some.readings, some.conditions), earlier.belief)
+    model = first_model(arm.profile, arm.name, some.quantities(), earlier.belief)
     return some.take(~gross_errors_of_model(model, some.readings, some.conditions))
 
 
@@ -177,7 +173,7 @@ def prior_result(name: str, earlier: Earlier, outcome: Updated) -> ArmPriorResul
 
 
 def stated_model(found: Posterior, seed: int) -> ArmModel:
-    """Return the model of a posterior with standard errors, covariance and draws."""
+    """Return the model of a posterior with standard errors, covariance and samples."""
     model, count = found.model, len(found.prior.columns)
     errors = np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
     names = list(ParameterSet("", model.geometry.joints, found.prior.columns).names)
@@ -229,6 +225,8 @@ def _identification(profile: Profile, alone: Identification, found: Posterior) -
         units=chosen.units,
         values=reference[kept] + to_table @ found.values[:count],
         covariance=in_table,
+        mean=found.prior.mean[:count],
+        precision=np.diag(found.prior.precision)[:count],
         residuals=found.residuals_M,
         angular=found.measured.angular,
         excess_rad=found.scatter_rad,

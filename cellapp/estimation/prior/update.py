@@ -18,14 +18,15 @@ import scipy
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.identification import start_from_nominal
-from cellapp.estimation.calibration.quantities import ArmReadings, with_probe
+from cellapp.estimation.calibration.quantities import ArmReadings, Quantities, with_probe
 from cellapp.estimation.calibration.records import PartDrift, SignatureChange, SignaturePart
-from cellapp.estimation.prior.belief import Belief, Measured, Posterior, design, is_own, posterior, sizes, term_columns
+from cellapp.estimation.prior.belief import Belief, Posterior, design, is_own, posterior, sizes, term_columns
 from cellapp.ground.counting import plain
 from cellapp.ground.errors import NotConverged
+from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import EFFECTS, EffectColumn, EffectTerm
-from cellapp.robot.kinematics.chain import parameter_names, parameter_unit
+from cellapp.robot.kinematics.chain import all_names, parameter_names, parameter_unit
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
 from cellapp.robot.model.nominal import nominal_arm
@@ -124,6 +125,27 @@ class NewEvidence:
     drift: Mapping[SignaturePart, Array]
     of_rotations: Array | None = None
 
+    @classmethod
+    def of(cls, belief: Belief, model: ArmModel, judged: Quantities) -> NewEvidence:
+        """Linearise readings at the mean of a belief, with any base and tool."""
+        joints = model.geometry.joints
+        free = tuple(column for column in range(len(model.geometry.names)) if not is_own(column, joints))
+        every = design(model, judged, (*free, *belief.columns))
+        by_free = every[: len(free)] / np.maximum(np.linalg.norm(every[: len(free)], axis=1), 1e-300)[:, None]
+        Q, R, _ = scipy.linalg.qr(by_free.T, pivoting=True)
+        pivots = np.abs(np.diag(R))
+        Z = Q[:, int(np.sum(pivots > _DEPENDENT * pivots[0])) :]
+        rows, units = every[len(free) :] @ Z, {part: _units(belief, part) for part in dict.fromkeys(belief.parts)}
+        angular = None if judged.angular is None else np.tile(judged.angular, 3)
+        return cls(
+            residuals=Z.T @ judged.residuals(model).T.ravel(),
+            rows=rows,
+            believed=rows.T @ belief.covariance @ rows,
+            stated=Z.T @ _covariance_matrix(judged.stated, len(judged)) @ Z,
+            drift={part: (rows * unit[:, None] ** 2).T @ rows for part, unit in units.items()},
+            of_rotations=None if angular is None else Z[angular].T @ Z[angular],
+        )
+
     def jumped(self, candidate: Candidate) -> NewEvidence:
         """Return the model that allows for a jump of some parameters."""
         rows = self.rows[candidate.places] * candidate.sd[:, None]
@@ -191,49 +213,6 @@ class NewEvidence:
         return found
 
 
-def evidence(
-    free: Array,
-    own: Array,
-    residuals: Array,
-    covariance: Array,
-    stated: Array,
-    units: Mapping[SignaturePart, Array],
-    angular: NDArray[np.bool_] | None = None,
-) -> NewEvidence:
-    """Build the linear model in the complement of the free parameters.
-
-    Parameters
-    ----------
-    free : array, shape (f, 3 n)
-        Derivatives with respect to base and tool.
-    own : array, shape (p, 3 n)
-        Derivatives with respect to the arm's own parameters.
-    residuals : array, shape (3 n,)
-        Residuals of the readings for the mean of the belief [m], at any base and tool.
-    covariance : array, shape (p, p)
-        Covariance of the belief.
-    stated : array, shape (3 n, 3 n)
-        Stated covariance of the readings [m^2].
-    units : mapping
-        Part -> unit of drift (p,) of each parameter, zero outside the part.
-    angular : array, shape (3 n,), optional
-        Mask of the components of orientations.
-    """
-    scale = 1.0 / np.maximum(np.linalg.norm(free, axis=1), 1e-300)
-    Q, R, _ = scipy.linalg.qr((free * scale[:, None]).T, pivoting=True)
-    pivots = np.abs(np.diag(R))
-    Z = Q[:, int(np.sum(pivots > _DEPENDENT * pivots[0])) :]
-    rows = own @ Z
-    return NewEvidence(
-        residuals=Z.T @ residuals,
-        rows=rows,
-        believed=rows.T @ covariance @ rows,
-        stated=Z.T @ stated @ Z,
-        drift={part: (rows * unit[:, None] ** 2).T @ rows for part, unit in units.items()},
-        of_rotations=None if angular is None else Z[angular].T @ Z[angular],
-    )
-
-
 # -- Possible changes of an arm since an earlier calibration: candidates, and proven ones in words --------------------
 
 SURE = 5.0
@@ -254,20 +233,18 @@ def candidates(belief: Belief, columns: Sequence[EffectColumn]) -> list[Candidat
 
     ``columns`` are those of the belief's effects, in the order of their values.
     """
-    names, size = parameter_names(belief.nominal.joints), belief.jump_sd
-    found = [
-        Candidate(parameter_words(names[column]), np.array([place], dtype=np.intp), size[[place]])
-        for place, column in enumerate(belief.columns)
-    ]
-    first = len(belief.columns)
-    places: dict[str, list[int]] = {}
-    slugs = [term.slug for term in belief.terms for _ in term.names]
-    for k, (slug, column) in enumerate(zip(slugs, columns, strict=True)):
-        places.setdefault(f"{EFFECTS[slug].title}, {column.where}", []).append(first + k)
-    for what, some in places.items():
-        rows = np.array(some, dtype=np.intp)
-        found.append(Candidate(what, rows, size[rows]))
-    return found
+    names = change_names(belief.nominal.joints, belief.columns, belief.terms, columns)
+    places = grouped((what, place) for place, what in enumerate(names))
+    return [Candidate(what, np.array(some, dtype=np.intp), belief.jump_sd[some]) for what, some in places.items()]
+
+
+def change_names(
+    joints: int, columns: Sequence[int], terms: Sequence[EffectTerm], of_terms: Sequence[EffectColumn]
+) -> list[str]:
+    """Name a change of each parameter of an arm: geometric ``columns``, then values of effects with their columns."""
+    names, slugs = all_names(joints), [term.slug for term in terms for _ in term.names]
+    effects = [f"{EFFECTS[slug].title}, {column.where}" for slug, column in zip(slugs, of_terms, strict=True)]
+    return [*(parameter_words(names[column]) for column in columns), *effects]
 
 
 def change_of(
@@ -338,7 +315,7 @@ _MOST_READINGS = 300
 _FEW_READINGS = 100
 """Most vectors for deciding which parts are believed: a wrong part contradicts most of them."""
 _SUBSET_SEED = 0x51A7
-"""Combined with the profile's seed, so that the draw of these readings is independent of all other draws."""
+"""Combined with the profile's seed, so that the sample of these readings is independent of all other samples."""
 _BELIEVED = 0.5
 """Share of the parameters' largest size above which the drift of a part means that it is not believed."""
 _GEOMETRY_UNIT = "m, rad"
@@ -363,7 +340,7 @@ class Updated:
         return not self.belief.is_forgotten
 
 
-def first_model(profile: Profile, name: str, measured: Measured, belief: Belief) -> ArmModel:
+def first_model(profile: Profile, name: str, measured: Quantities, belief: Belief) -> ArmModel:
     """Return the arm by its belief, with base, tool and probe fitted to the new readings."""
     arm, its = profile.arms[name], measured.positions
     readings, conditions = its.readings, its.conditions
@@ -390,7 +367,7 @@ def update(arm: ArmReadings, belief: Belief, since: str, further: Sequence[Effec
     numpy.linalg.LinAlgError
         If readings are not finite.
     """
-    profile, measured = arm.profile, Measured.of(arm.readings, arm.conditions)
+    profile, measured = arm.profile, arm.quantities()
     supported = _supported(profile, arm.name, measured, belief)
     model = first_model(profile, arm.name, measured, supported)
     judged = measured.take(_subset(profile, len(measured), _MOST_READINGS))
@@ -402,22 +379,22 @@ def update(arm: ArmReadings, belief: Belief, since: str, further: Sequence[Effec
     return Updated(changed, found, parts, tuple(changes), tested, drifts.scatter_m, drifts.scatter_rad)
 
 
-def _supported(profile: Profile, name: str, measured: Measured, belief: Belief) -> Belief:
+def _supported(profile: Profile, name: str, measured: Quantities, belief: Belief) -> Belief:
     """Return the belief, or ``belief.forgotten()`` if that makes the readings likelier."""
     some = measured.take(_subset(profile, len(measured), _FEW_READINGS))
     found = []
     for one in (belief, belief.forgotten()):
-        problem = _evidence(one, first_model(profile, name, some, one), some)
+        problem = NewEvidence.of(one, first_model(profile, name, some, one), some)
         drifts = (replace(problem, drift={}) if one.is_forgotten else problem).drifts()
         found.append((drifts.log_likelihood - len(drifts.of_parts), one))
     return max(found, key=lambda pair: pair[0])[1]
 
 
 def _changed(
-    belief: Belief, model: ArmModel, judged: Measured, since: str
+    belief: Belief, model: ArmModel, judged: Quantities, since: str
 ) -> tuple[Belief, Drifts, list[SignatureChange], int]:
     """Return the belief widened by drifts and proven jumps, both of these, and the number of jumps tested."""
-    problem = _evidence(belief, model, judged)
+    problem = NewEvidence.of(belief, model, judged)
     if belief.is_forgotten:
         problem = replace(problem, drift={})
         return belief, problem.drifts(), [], 0
@@ -445,21 +422,6 @@ def _changed(
     for part, size in drifts.of_parts.items():
         variance += size**2 * _units(belief, part) ** 2
     return belief.widened(variance), drifts, changes, tested
-
-
-def _evidence(belief: Belief, model: ArmModel, judged: Measured) -> NewEvidence:
-    joints = model.geometry.joints
-    free = tuple(column for column in range(len(model.geometry.names)) if not is_own(column, joints))
-    rows = design(model, judged, (*free, *belief.columns))
-    return evidence(
-        free=rows[: len(free)],
-        own=rows[len(free) :],
-        residuals=judged.residuals(model).T.ravel(),
-        covariance=belief.covariance,
-        stated=_covariance_matrix(judged.stated, len(judged)),
-        units={part: _units(belief, part) for part in dict.fromkeys(belief.parts)},
-        angular=None if judged.angular is None else np.tile(judged.angular, 3),
-    )
 
 
 def _covariance_matrix(stated: Array | None, count: int) -> Array:

@@ -1,7 +1,7 @@
 """Table of the columns of a reading: names, units, shapes, checks.
 
-The SQL schema, the rows of the run file, CSV import and export, and the conversion of a ``Reading`` into ``Readings``
-are derived from ``COLUMNS``. A new quantity needs one entry here and one attribute of ``Reading`` and ``Readings``.
+The SQL schema, the rows of the run file, CSV import and export, and single readings are derived from ``COLUMNS``. A new
+quantity needs one entry here and one attribute of ``Readings``.
 
 In addition, a row has the name of its arm and ``extras``: unknown columns of an imported file, kept as text.
 """
@@ -59,7 +59,7 @@ class Column:
     Attributes
     ----------
     name : str
-        Attribute of ``Reading`` and ``Readings``.
+        Attribute of ``Readings``.
     unit : str
         SI unit, or "" for a number or word without one.
     csv : tuple of str

@@ -1,4 +1,4 @@
-"""Measured data: one reading, all readings of one arm as arrays, and rows that no split may divide. No I/O here.
+"""Measured data: readings of one arm as arrays, and rows that no split may divide. No I/O here.
 
 A held-out row that stands beside a learnt one tests only the noise.
 """
@@ -22,99 +22,6 @@ from cellapp.robot.kinematics.transforms import Array, quaternions_of, twist_col
 FIRST_SAMPLE = 1_000_000_000
 """Configuration numbers from here on belong to samples of recordings: no plan has as many stops."""
 _Floats = NDArray[np.float64]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Reading:
-    """Reading of one arm with N joints at one stop.
-
-    Attributes
-    ----------
-    q : array, shape (N,)
-        Joint positions read from the controller [rad], their mean during the measurement.
-    p_M : array, shape (3,)
-        Measured SMR centre in the tracker frame [m].
-    time_s : float
-        Seconds since the run began; NaN if unknown.
-    sequence : float or None
-        Place in the order in which the arm's readings were measured.
-    approach : array, shape (N,), or None
-        Sign of each joint's last motion before the stop: -1, 0 (unknown), +1; None if unknown for all joints.
-    q_spread : float or None
-        Largest range of a joint during the measurement [rad].
-    payload_kg, temperature_c, sigma_m : float or None
-        Payload [kg]; arm or ambient temperature [degC]; isotropic standard uncertainty of ``p_M`` [m].
-    joint_temperature_c : array, shape (N,), or None
-        Joint temperatures [degC].
-    step : array, shape (N,), or None
-        Each joint's last motion before the stop, with its sign [rad].
-    dwell_s : float or None
-        Time from standstill to the measurement [s].
-    payload_center_F : array, shape (3,), or None
-        Centre of mass of the payload in F [m].
-    covariance_M : array, shape (3, 3), or None
-        Covariance of ``p_M`` [m^2]; the run file stores its upper triangle.
-    quaternion_M : array, shape (4,), or None
-        Orientation of the probe's frame S in M, unit quaternion, scalar first.
-    sigma_rad : float or None
-        Standard uncertainty of the orientation about each axis [rad].
-    rotation_covariance_M : array, shape (3, 3), or None
-        Covariance of a rotation about the axes of M [rad^2]; it takes precedence over ``sigma_rad``.
-    smr : str or None
-        Name of the SMR on the flange that was measured; None for the only one.
-    station : str or None
-        Name of the tracker station, in whose frame the measurement is; None for the only one.
-    point : str or None
-        Name of the socket that a ball rested in; only earlier versions stored such readings.
-    split : str or None
-        identify, train or validate; None if not assigned.
-    extras : dict
-        Unknown columns of an imported file, as text.
-    """
-
-    q: _Floats
-    p_M: _Floats
-    time_s: float = float("nan")
-    sequence: float | None = None
-    approach: NDArray[np.int8] | None = None
-    payload_kg: float | None = None
-    temperature_c: float | None = None
-    joint_temperature_c: _Floats | None = None
-    step: _Floats | None = None
-    dwell_s: float | None = None
-    covariance_M: _Floats | None = None
-    sigma_m: float | None = None
-    payload_center_F: _Floats | None = None
-    quaternion_M: _Floats | None = None
-    sigma_rad: float | None = None
-    rotation_covariance_M: _Floats | None = None
-    smr: str | None = None
-    station: str | None = None
-    point: str | None = None
-    split: str | None = None
-    q_spread: float | None = None
-    extras: dict[str, str] = field(default_factory=dict)
-
-    def as_readings(self, configuration: int) -> Readings:
-        """Return this reading as the only row of ``Readings``, at the given stop.
-
-        Raises
-        ------
-        ValueError
-            If an array has the wrong shape.
-        """
-        values: dict[str, Values | None] = {CONFIGURATION.name: np.array([configuration], dtype=CONFIGURATION.dtype)}
-        for column in COLUMNS:
-            if column is CONFIGURATION:
-                continue
-            value = getattr(self, column.name)
-            if value is None:
-                values[column.name] = column.missing(1, len(self.q))
-            elif column.dtype is str:
-                values[column.name] = (value,)
-            else:
-                values[column.name] = np.asarray(value, dtype=column.dtype)[np.newaxis]
-        return readings_from_columns(values, {name: (text,) for name, text in self.extras.items()})
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -213,6 +120,28 @@ class Readings:
         for name, texts in self.extras.items():
             if len(texts) != n:
                 raise ValueError(f"expected {n} texts in the extra column '{name}', got {len(texts)}")
+
+    @classmethod
+    def one(cls, **values: Any) -> Readings:
+        """Return one reading, at stop 0, from values of columns without the axis n; those not given are unknown.
+
+        Raises
+        ------
+        ValueError
+            If an array has the wrong shape.
+        """
+        joints = len(values["q"])
+        for column in COLUMNS:
+            value = values.get(column.name, 0 if column is CONFIGURATION else None)
+            if value is None:
+                values[column.name] = column.missing(1, joints)
+            else:
+                values[column.name] = (value,) if column.dtype is str else np.asarray(value, dtype=column.dtype)[None]
+        return cls(**values)
+
+    def at_stop(self, stop: int) -> Readings:
+        """Return the readings at one stop."""
+        return replace(self, configuration=np.full(len(self), stop, dtype=CONFIGURATION.dtype))
 
     def __len__(self) -> int:
         return len(self.configuration)
@@ -550,7 +479,7 @@ SAME_RAD = 1e-3
 """Largest difference of joint positions within one configuration: encoders read 0.04 mrad more or less."""
 NEIGHBOUR_RAD = 0.05
 """Largest difference of joint positions of neighbours: 3 degrees, far within the period of most errors of an arm. Rows
-of a plan, or drawn at random, lie some 0.4 rad apart."""
+of a plan, or sampled at random, lie some 0.4 rad apart."""
 _WIDE = 4.0
 """Radius of a neighbourhood, in distances of neighbours: most of its rows then have no neighbour outside it."""
 _FEWEST_ALIKE = 10
@@ -599,7 +528,7 @@ def beside(q: Array, learnt: Array, *, itself: bool = False) -> NDArray[np.bool_
 
 
 def folds_of(group: Groups, folds: int, generator: np.random.Generator) -> NDArray[np.int64]:
-    """Draw a fold for each row (n,), the same for the rows of a group."""
+    """Sample a fold for each row (n,), the same for the rows of a group."""
     return np.asarray((generator.permutation(int(group.max()) + 1) % folds)[group], dtype=np.int64)
 
 

@@ -1,6 +1,6 @@
 """Divide the uncertainty of a TCP into what is common to all its targets and what is each target's own.
 
-Draws of the posterior displace the TCP and turn the flange at every configuration. What is the same everywhere in the
+Samples of the posterior displace the TCP and turn the flange at every configuration. What is the same everywhere in the
 flange frame, as an error of the TCP, and what is one rigid motion of the base, is found by least squares over the
 configurations of the readings; it moves all targets together. What is left at a target is its own.
 """
@@ -128,7 +128,7 @@ def divided(
 
 
 def _with_tcp(arm: ArmModel, posterior: PosteriorSamples, tcp: Array) -> ArmModel:
-    """Return the arm with the TCP in place of the SMR; draws of the SMR's offset do not move another TCP."""
+    """Return the arm with the TCP in place of the SMR; samples of the SMR's offset do not move another TCP."""
     of_tool = np.array(posterior.columns) >= 6 + 5 * arm.geometry.joints
     of_tool &= not np.array_equal(tcp, arm.geometry.tool)
     posterior = replace(posterior, geometry=np.where(of_tool, 0.0, posterior.geometry))
@@ -140,13 +140,13 @@ def _nothing(q: Array, conditions: MeasurementConditions) -> tuple[Array, Array]
 
 
 def _moved(arm: ArmModel, q: Array, conditions: MeasurementConditions) -> Array:
-    """Return the displacements (S, n, 3) of the TCP by each draw [m]."""
+    """Return the displacements (S, n, 3) of the TCP by each sample [m]."""
     assert arm.posterior is not None
     return arm.posterior.displacements(arm.geometry, arm.effects, arm.context(q, conditions=conditions))
 
 
 def _rotated(arm: ArmModel, q: Array, conditions: MeasurementConditions) -> Array:
-    """Return the rotations (S, n, 3) of the flange by the geometry of each draw [rad]."""
+    """Return the rotations (S, n, 3) of the flange by the geometry of each sample [rad]."""
     assert arm.posterior is not None
     columns = list(arm.posterior.columns)
     own = flange_poses(arm.geometry, q)[0].transpose(0, 2, 1)
@@ -176,7 +176,7 @@ def beyond(shift: Array, rotation: Array, own: Array, own_rotation: Array) -> ND
 
 
 def _beyond(values: Array, samples: Array) -> bool:
-    """Return whether values (k, 1) are not a likely one of the draws (k, S) about zero."""
+    """Return whether values (k, 1) are not a likely one of the samples (k, S) about zero."""
     covariance = samples @ samples.T / samples.shape[1] + _LEAST**2 * np.eye(len(samples))
     distance = float(values[:, 0] @ np.linalg.solve(covariance, values[:, 0]))
     return distance > _CHI2_95[len(values)]

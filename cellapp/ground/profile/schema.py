@@ -7,12 +7,12 @@ and tracker, and the sensors, hold the settings of one of the kinds that are reg
 
 from __future__ import annotations
 
-import difflib
 import math
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
+from cellapp.ground.counting import did_you_mean
 from cellapp.ground.network_kind import NetworkKind
 from cellapp.ground.profile.sections import (
     ArmPoint,
@@ -201,10 +201,8 @@ class Arm(GrownSection, defer_build=True):
         named = [("fixed", name) for name in self.fixed] + [("bounds", name) for name in self.bounds]
         for key, name in [*named, *(("tied", name) for group in self.tied for name in group)]:
             if name not in nominal:
-                near = difflib.get_close_matches(name, nominal, n=1)
-                hint = f"; did you mean '{near[0]}'?" if near else ""
                 words = "is no parameter of a D-H row or of the SMR's offset (tx, ty, tz)"
-                raise ValueError(f"{key}: '{name}' {words}{hint}")
+                raise ValueError(f"{key}: '{name}' {words}{did_you_mean(name, nominal)}")
             if name not in of_rows and offset is None:
                 raise ValueError(f"{key}: {name} has no value to start from: smr.offset is unknown; give it")
             if key != "fixed" and name in self.fixed:
@@ -279,7 +277,8 @@ class Sensors(Section, defer_build=True):
 
 
 class Splits(Section):
-    """Number of stops for each use; ``rest`` is all that remain. Those of the pair are drawn from all common stops."""
+    """Number of stops for each use; ``rest`` is all that remain. Those of the pair are sampled from all common
+    stops."""
 
     identify: Annotated[int, Field(strict=True, ge=1)] = 100
     train: Annotated[int, Field(strict=True, ge=0)] = 200

@@ -144,7 +144,7 @@ class Plan(Section):
     """Number of stops and how they are chosen. ``floor`` is the height in C below which no body may reach.
 
     ``method``: ``designed`` chooses the stops that tell most about geometry and effects, with planned approach, dwell
-    and order; ``random`` draws them, with straight ways.
+    and order; ``random`` samples them, with straight ways.
     """
 
     stops: Annotated[int, Field(strict=True, ge=1, le=100_000)] = 400
@@ -155,7 +155,7 @@ class Plan(Section):
     reserve: Annotated[int, Field(strict=True, ge=0, le=10_000)] = 0
     """Further stops, planned after the others; each replaces one that could not be measured."""
     ranges: tuple[tuple[Turn, Turn], ...] | None = None
-    """Joint ranges to draw from, for all arms; None: the limits of each arm, at most one turn."""
+    """Joint ranges to sample from, for all arms; None: the limits of each arm, at most one turn."""
     method: Literal["designed", "random"] = "designed"
     candidates: Annotated[int, Field(strict=True, ge=100, le=1_000_000)] | None = None
     """Configurations of each arm from which a design is chosen; None: 50 a stop, at most 20 000."""

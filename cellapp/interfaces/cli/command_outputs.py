@@ -8,6 +8,7 @@ from __future__ import annotations
 import functools
 import inspect
 import os
+import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -47,7 +48,7 @@ class CommandOutputs:
     def filled(self, text: str) -> str:
         """Put the files of this call, and those that its run knows, into the commands that a message quotes."""
         files = dict(self.named)
-        if "DIR" in files and "'cellapp " in text:
+        if "DIR" in files and re.search(r"'cellapp [^']*\b(PROFILE|TARGETS)\b", text):  # else no run is opened
             from cellapp.commands.stages import known_files  # late: a help needs none
 
             known = zip(("PROFILE", "TARGETS"), known_files(files["DIR"]), strict=True)

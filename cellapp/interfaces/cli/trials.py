@@ -113,13 +113,13 @@ def power(
     json_file: JsonOption = None,
 ) -> None:
     """Before measuring: which effects of which size a cell, its plan and its tracker would have named."""
-    from cellapp.commands.trials.detectability import power_at, power_sentence, power_table
+    from cellapp.commands.trials.detectability import detectability_at, detectability_sentence, detectability_table
 
     with CommandJob(json_file) as job:
         work = _work(job, jobs, scheduler, results)
-        result = power_at(where, trials, seed, work, TimeLimit.from_now(minutes))
-        job.show([power_table(name, arm) for name, arm in result.arms.items()])
-        job.say(power_sentence(result))
+        result = detectability_at(where, trials, seed, work, TimeLimit.from_now(minutes))
+        job.show([detectability_table(name, arm) for name, arm in result.arms.items()])
+        job.say(detectability_sentence(result))
         job.result(result)
         _refuse_failed(result.failed)
 

@@ -36,7 +36,8 @@ if TYPE_CHECKING:
 _LOOK_S = 0.1
 """Interval at which a waiting question checks whether the job must end."""
 _OF_RUN = ("calibration", "discovery", "verification")
-"""What ``show`` shows of a whole run."""
+_SHOWN = {"run": _OF_RUN, "report": _OF_RUN, "plan": ("plan",)}
+"""Verb -> the parts of a run that ``show`` shows of it, beside those that it stores."""
 
 
 def asking(job: CommandJob, profile_name: str, *, allowed: bool) -> Callable[[str], bool] | None:
@@ -145,8 +146,9 @@ def command_of(verb: Verb, fixed: Mapping[str, Any] = MappingProxyType({})) -> C
 def _show(job: CommandJob, verb: Verb, shown: View, result: Result) -> None:
     """Print the tables and sentences of a view in their order, then write the JSON of its result."""
     if not (shown.is_json and job.writes_json):
-        stored = _OF_RUN if verb.name == "run" else [one.part for one in verb.stored]
-        rest = " or ".join("'cellapp show DIR " + part + "'" for part in stored)
+        stored = _SHOWN.get(verb.name) or [one.part for one in verb.stored]
+        # a plan that was only checked has no run
+        rest = " or ".join("'cellapp show DIR " + part + "'" for part in stored) if getattr(result, "run", "-") else ""
         job.show_view(shown.parts, rest and f"More is stored: {rest} shows all of it.")
     job.result(result)
 

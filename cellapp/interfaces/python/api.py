@@ -18,7 +18,7 @@ from pathlib import Path
 from numpy.typing import ArrayLike
 
 from cellapp.cell.run import RunFile
-from cellapp.commands.report.run import all_tables, out_of_date_sentences
+from cellapp.commands.report.run import result_parts
 from cellapp.commands.run_results import RunResults, read_results
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of
@@ -100,7 +100,7 @@ class Run(Printed):
 
     def view(self) -> Parts:
         """Return the errors of the stored results, and which results are out of date."""
-        return [*all_tables(self.results), *out_of_date_sentences(self.results)]
+        return result_parts(self.results)
 
     def readings(self, arm: str) -> Readings:
         """Return the readings of one arm. Raises ``InputError`` if there is no such arm with readings."""

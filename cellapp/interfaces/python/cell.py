@@ -9,7 +9,6 @@ Conditions for the predictions of a model, with the same names as in readings.
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -48,7 +47,7 @@ from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import DiscoverResult
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.readings.columns import COLUMNS
-from cellapp.ground.counting import counted
+from cellapp.ground.counting import counted, did_you_mean
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import UNATTENDED, JobToken
@@ -190,8 +189,7 @@ def stated_conditions(
             continue
         if name not in _FIELDS:
             known = (*_FIELDS, _OTHER)
-            close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-            hint = f"; did you mean '{close[0]}'?" if close else ""
+            hint = did_you_mean(name, known, cutoff=0.5)
             raise InputError(f"arm {arm}: no condition is called '{name}'; known are {', '.join(known)}{hint}")
         field, of_joints = _FIELDS[name]
         fields[field] = _values(f"arm {arm}: {name}", value, q.shape if of_joints else q.shape[:1])

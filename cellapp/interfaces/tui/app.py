@@ -36,7 +36,6 @@ from textual.css.query import NoMatches
 from textual.driver import Driver
 from textual.screen import ModalScreen, Screen
 from textual.theme import Theme
-from textual.widgets import Static
 
 from cellapp.commands.docs.keys import KEYS, SHOWN
 from cellapp.commands.registry import ALL
@@ -55,6 +54,7 @@ from cellapp.interfaces.tui.screens import SCREENS
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.terminal import driver_that_stops
 from cellapp.interfaces.tui.widgets.arm_panel import LiveStrip
+from cellapp.interfaces.tui.widgets.controls import Line
 from cellapp.interfaces.tui.widgets.header import StepTab
 from cellapp.interfaces.tui.workspace import Step, holds_run, last_run, load_workspace
 
@@ -156,6 +156,8 @@ _MOST = 100
 """Limit of freezes per job: frozen objects that become garbage, like a closed dialog, keep their memory."""
 _FULL = 2
 """The oldest generation of the garbage collector."""
+_SELDOM = 200
+"""Middle collections before a full one; at Python's 10 every other first visit of a screen waits 0.1 s for one."""
 
 
 class SlowCollections:
@@ -168,6 +170,8 @@ class SlowCollections:
     def watch(self) -> None:
         """Start watching, for the rest of the process."""
         gc.callbacks.append(self._passed)
+        young, middle, _ = gc.get_threshold()
+        gc.set_threshold(young, middle, _SELDOM)
 
     def _passed(self, phase: str, info: Mapping[str, int]) -> None:
         if info["generation"] < _FULL:
@@ -598,9 +602,7 @@ class CellApp(JobKeys):
 
     def _draw_message(self) -> None:
         with contextlib.suppress(NoMatches, StopIteration):
-            line = self.day_screen.query_one(".message", Static)
-            line.update(self.message)
-            line.set_classes(f"message {self._severity}")
+            self.day_screen.query_one(".message", Line).say(self.message, f"message {self._severity}")
 
     def _draw_events(self) -> None:
         """Process the oldest events of the job, and draw if anything changed.

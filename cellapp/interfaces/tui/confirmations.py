@@ -8,42 +8,31 @@ from typing import TYPE_CHECKING, Any
 from cellapp.commands.record import Request, Verb
 from cellapp.commands.registry import records
 from cellapp.interfaces.tui import verb_jobs
-from cellapp.interfaces.tui.dialogs.question import Choice, ChosenAnswer, reading_of
-from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
+from cellapp.interfaces.tui.dialogs.question import BEGIN, Choice, ChosenAnswer, reading_of
 from cellapp.interfaces.tui.host import Host
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.workspace import Workspace, new_folder
 
 if TYPE_CHECKING:
     from cellapp.ground.results import Result, StageName
+    from cellapp.interfaces.tui.jobs import Job
 
-BEGIN = (ChosenAnswer("begin", "Begin", "b", "success"), ChosenAnswer("no", "Not now", "n"))
-WRITE = (ChosenAnswer("write", "Write", "ctrl+s", "success"), ChosenAnswer("no", "Close", "f10"))
-USE_STALE = (ChosenAnswer("no", "Not now", "n"), ChosenAnswer("begin", "Use this model all the same", "u", "warning"))
-"""Answers if the model is out of date; the first one has the focus."""
 READING_WIDTH = 66
 """Characters per line of a text that fits into the narrowest terminal."""
 
 
-def arms_words(workspace: Workspace) -> str:
-    """Return which arms a job would move."""
-    return "REAL ARMS WILL MOVE" if workspace.kind == "real" else f"the arms are {workspace.kind}"
-
-
-def offer_again(
-    screen: DayScreen, title: str, found: Result | None, stage: StageName, begin: Callable[[], None]
-) -> None:
-    """Begin; if a valid result exists, first ask whether to repeat the work."""
+def offer_again(screen: DayScreen, title: str, stage: StageName, job: Job) -> None:
+    """Begin the job of a stage; if a valid result exists, first ask whether to repeat the work."""
     results = screen.workspace.results
-    if found is None or (results is not None and stage in results.out_of_date):
-        begin()
+    if results is None or screen.workspace.stored(stage) is None or stage in results.out_of_date:
+        screen.start(job)
         return
     mark = screen.state.marks[screen.STEP]
     text = (
         f"The run has a result that holds ({mark.words}). Nothing it rests on has changed since; what is stored stays."
     )
     answers = (ChosenAnswer("no", "Not now", "n"), ChosenAnswer("begin", "Do it again", "b", "warning"))
-    screen.ask(Choice(title, text, answers), begin)
+    screen.ask(Choice(title, text, answers), lambda: screen.start(job))
 
 
 def offer_whole_day(app: Host) -> None:
@@ -53,8 +42,8 @@ def offer_whole_day(app: Host) -> None:
         app.say(app.state.no_profile, "warning")
         return
     folder, cell = new_folder(profile), Workspace(path, profile)
-    arms = arms_words(cell)
-    text = f"Plan, collect, calibrate, discover, push and verify with '{profile.name}' into {folder}; {arms}."
+    day = f"Plan, collect, calibrate, discover, push and verify with '{profile.name}' into {folder}"
+    text = f"{day}; {cell.arms_words}."
 
     def begin(answer: str | None) -> None:
         if answer == "begin" and app.start_job(verb_jobs.whole_day(path, folder, profile), cell):
@@ -111,29 +100,7 @@ def _offer(screen: DayScreen, verb: Verb, given: Mapping[str, Any]) -> None:
         if request is not None and app.start_job(verb_jobs.verb_job(verb, request)):
             app.asked_by = _VerbView(app, verb)
 
-    text = f"{verb.summary}" + (f" {arms_words(screen.workspace)}." if verb.moves_arms else "")
-    simulated = screen.workspace.kind == "simulated"
-    app.push_screen(VerbQuestion(verb, text, BEGIN, given, simulated=simulated), begin)
-
-
-def ask_of_calibrated(
-    screen: DayScreen, verb: Verb, words: str, given: Mapping[str, Any], proposed: Mapping[str, Any]
-) -> bool:
-    """Ask for the request of a verb that measures with the model in force, then run it; return whether it is asked.
-
-    ``given`` are fields that are not asked for, ``proposed`` values of those that are.
-    """
-    if (calibrated := screen.calibrated_run()) is None:
-        return False
-    folder, *_ = calibrated
-    text = f"{words} {arms_words(screen.workspace)}."
-    if stale := screen.workspace.stale:
-        text += f"\nThe model is not up to date: {stale}."
-    simulated = screen.workspace.kind == "simulated"
-    screen.ask_verb(
-        VerbQuestion(verb, text, BEGIN, {"folder": folder, **given}, proposed=proposed, simulated=simulated)
-    )
-    return True
+    app.push_screen(screen.question_of(verb, verb.summary, given), begin)
 
 
 class QuitQuestion(Choice):

@@ -81,7 +81,7 @@ def _done(ended: JobEnded) -> Ending:
     if view.failed:
         checks = view.checks or (job.verb.checks if job.verb is not None else "")
         what = "" if checks in ("", job.name) else f"{checks}: "
-        return Ending(f"{job.name}: {what}{'; '.join(view.failed)}{where}.", "error", CheckFailed.exit_code)
+        return Ending(f"{job.name}: {what}{'; '.join(view.failed).rstrip('.')}{where}.", "error", CheckFailed.exit_code)
     held = f"; {view.held.rstrip('.')}" if view.held else ""
     return Ending(f"{job.name}: done{held}{where}.", "information", 0)
 

@@ -237,8 +237,8 @@ def _marked(one: Series, occupied: NDArray[np.bool_], column: Array, row: Array,
         shares: NDArray[np.bool_] = (columns + 3 * rows) % _MARKED_SHARE == one.style % _MARKED_SHARE
         return occupied & shares
     topmost: NDArray[np.bool_] = np.cumsum(occupied, axis=0) == 1
-    turns: NDArray[np.bool_] = columns % _MARK_EVERY == (2 + 3 * one.style) % _MARK_EVERY
-    return occupied & topmost & turns
+    marked: NDArray[np.bool_] = columns % _MARK_EVERY == (2 + 3 * one.style) % _MARK_EVERY
+    return occupied & topmost & marked
 
 
 # -- words ------------------------------------------------------------------------------------------------------------

@@ -68,8 +68,10 @@ def _next_words(workspace: Workspace, waits: str) -> str:
         return f"Next ({key}): plan a run{last}"
     if not words:
         return f"Next: nothing is left to do in this run; {SHOWN['runs']} lists all"
-    verb = workspace.overview.next_verb
-    return f"Next ({key}): {f'{verb}, ' if verb and words.startswith('cellapp ') else ''}{with_keys(words)}"
+    if words.startswith("cellapp "):
+        verb, command = workspace.overview.next_verb, words.replace("'", "")  # a folder may be quoted
+        words = f"{verb}, '{command}'" if verb else f"'{command}'"
+    return f"Next ({key}): {with_keys(words)}"
 
 
 def marks_of(workspace: Workspace, measured: int, planned: int, todo: int, running: Step | None) -> dict[Step, Mark]:
@@ -97,8 +99,7 @@ def _collected(workspace: Workspace, measured: int, planned: int, todo: int) -> 
     collection = workspace.collection
     if collection is not None and collection.missing_share > collection.tolerated_share:
         return Mark("part", f"{collection.missing_share:.0%} of the planned readings are missing")
-    last = None if collection is None else collection.last
-    accurate = last is not None and last.outcome == "accurate enough"
+    accurate = workspace.outcome == "accurate enough"
     if todo and not accurate:
         return Mark("part", f"{measured} of {planned} stops are measured")
     return Mark("done", f"{measured} stops are measured" + (", accurate enough" if todo else ""))
@@ -158,27 +159,15 @@ class RunState:
     ----------
     stored : str
         What the run file contains.
-    profile : str
-        Name of the profile; empty without one.
-    folder : Path or None
-        The open run, or the one that the current job creates.
+    workspace : Workspace
+        The profile and the run as they were read.
     planned, measured : int
         Stops without reserves; measured ones as reported by the job, which is ahead of the file as it was read.
     remaining : int
         Planned stops that are not measured.
     job : JobNow or None
-    problem : str
-        Why profile or run cannot be used.
-    read_only : bool
-        Whether the folder of the run cannot be written.
-    in_use : str
-        Another job that uses the run, as a phrase.
     next_words : str
         What comes next and its key, as "Next (n): collect, keys 3, b".
-    outcome : str
-        How the last session of collecting ended; empty without one, or if the program died in it.
-    drift : bool
-        Whether the newest references are beyond their limit.
     reading : str
         Sentence that the first profile, or the result of a job, is being read; empty if it is already shown.
     marks : mapping
@@ -187,28 +176,21 @@ class RunState:
 
     stored: Stored
     marks: Mapping[Step, Mark]
-    profile: str = ""
-    folder: Path | None = None
-    planned: int = 0
-    measured: int = 0
-    remaining: int = 0
-    job: JobNow | None = None
-    problem: str = ""
-    read_only: bool = False
-    in_use: str = ""
-    next_words: str = ""
-    outcome: str = ""
-    drift: bool = False
-    reading: str = ""
+    workspace: Workspace
+    planned: int
+    measured: int
+    remaining: int
+    job: JobNow | None
+    next_words: str
+    reading: str
 
     @property
     def where(self) -> str:
         """Profile and run, for the first line."""
-        job = self.job
-        if job is not None and job.folder is not None and self.folder is None:
-            return f"{self.profile} · {job.folder}"
-        run = "no run is open" if self.folder is None else str(self.folder)
-        return f"{self.profile or 'no profile'} · {run}" + (" · READ-ONLY" if self.read_only else "")
+        cell, job = self.workspace, self.job
+        profile = "no profile" if cell.profile is None else cell.profile.name
+        run = cell.folder or (None if job is None else job.folder) or "no run is open"
+        return f"{profile} · {run}" + (" · READ-ONLY" if cell.read_only else "")
 
     @property
     def collecting(self) -> bool:
@@ -225,14 +207,14 @@ class RunState:
     @property
     def no_run(self) -> str:
         """Why there is no run to work on, and what to do; empty if a readable one is open."""
-        if self.folder is not None and self.stored not in ("no cell", "broken", "no run"):
+        if self.workspace.folder is not None and self.stored not in ("no cell", "broken", "no run"):
             return ""
         if self.job is not None and self.job.folder is not None:
             return f"{self.job.folder} is being made: {self.job.words}."
         if self.reading:
             return self.reading
-        if self.problem:
-            return self.problem
+        if self.workspace.problem:
+            return self.workspace.problem
         if self.stored == "no cell":
             return "No profile is open: choose one on the screen Cell (key 1)."
         return f"No run is open: plan one (keys 2, {SHOWN['go']}), or open one of all runs (key {SHOWN['runs']})."
@@ -251,7 +233,7 @@ class RunState:
             return f"Not calibrated yet: {job.words}; {self.measured_words}."
         if self.reading:
             return self.reading
-        if self.read_only:
+        if self.workspace.read_only:
             return f"Not calibrated yet: {self.measured_words}. {COPY_IT}"
         begin = f"keys 4, {SHOWN['go']}"
         if self.stored == "complete":
@@ -274,14 +256,14 @@ class RunState:
             return "This run has no plan."
         if self.measured:
             return f"{self.measured_words}; no session of collecting is stored: the readings were imported."
-        begin = COPY_IT if self.read_only else f"{SHOWN['go']} begins."
+        begin = COPY_IT if self.workspace.read_only else f"{SHOWN['go']} begins."
         return f"Nothing was collected yet in this run: {begin}"
 
     def nothing(self, step: Step, else_: str) -> str:
         """Return why a step has nothing to show; ``else_`` if only the step itself was not done."""
         if (job := self.job) is not None and job.step == step and not self.no_run:
             return f"Nothing is stored yet: {job.words}."
-        return self.not_calibrated or (COPY_IT if self.read_only and else_ else else_)
+        return self.not_calibrated or (COPY_IT if self.workspace.read_only and else_ else else_)
 
     @property
     def residuals_words(self) -> str:
@@ -293,10 +275,11 @@ class RunState:
         if self.reading:
             return self.reading
         if self.measured:
-            if self.stored == "calibrated":
-                return f"{self.measured_words}; their residuals are in Calibrate (key 4)."
-            return f"{self.measured_words}; their residuals are in Calibrate (key 4) once they are calibrated."
-        return f"No readings yet. {COPY_IT}" if self.read_only else f"No readings yet: {SHOWN['go']} collects."
+            once = "" if self.stored == "calibrated" else " once they are calibrated"
+            return f"{self.measured_words}; their residuals are in Calibrate (key 4){once}."
+        return (
+            f"No readings yet. {COPY_IT}" if self.workspace.read_only else f"No readings yet: {SHOWN['go']} collects."
+        )
 
 
 def run_state(
@@ -322,35 +305,14 @@ def run_state(
     return RunState(
         stored=stored,
         marks=marks_of(workspace, measured, planned, todo, job.step if here and job is not None else None),
-        profile="" if workspace.profile is None else workspace.profile.name,
-        folder=workspace.folder,
+        workspace=workspace,
         planned=planned,
         measured=measured,
         remaining=todo,
         job=job,
-        problem=workspace.problem,
-        read_only=workspace.read_only,
-        in_use=workspace.in_use,
         next_words=_next_words(workspace, waits),
-        outcome=_outcome(workspace),
-        drift=drift_exceeded(workspace),
         reading="" if running is not None else reading,
     )
-
-
-def _outcome(workspace: Workspace) -> str:
-    collection = workspace.collection
-    last = None if collection is None else collection.last
-    return "" if last is None else last.outcome or ""
-
-
-def drift_exceeded(workspace: Workspace) -> bool:
-    """Return whether the newest reference measurements of the run are beyond the limit."""
-    collection = workspace.collection
-    if collection is None or not collection.references:
-        return False
-    newest = collection.references[-1].stops_done
-    return any(row.stops_done == newest and row.drift_mm > collection.drift_limit_mm for row in collection.references)
 
 
 def holds_for_drift(record: JobRecord) -> bool:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from cellapp.ground.errors import CellappError, InputError
 from cellapp.ground.job_client import JOB_FILE, who_uses
@@ -27,7 +27,7 @@ Step = Literal["cell", "plan", "collect", "calibrate", "discover", "targets", "a
 STEPS: tuple[Step, ...] = ("cell", "plan", "collect", "calibrate", "discover", "targets", "accept")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Workspace:
     """A profile and a run of it, read once for the screens.
 
@@ -75,6 +75,10 @@ class Workspace:
     reported: bool = False
     read_only: bool = False
 
+    def stored(self, stage: StageName | Step) -> Any:
+        """Return the result of a stage that the run stores, also one that is out of date; None if there is none."""
+        return None if self.results is None else getattr(self.results, stage)
+
     @property
     def file_profile(self) -> Profile | None:
         """Content of ``profile_path``, from which a new run is planned, whichever run is open."""
@@ -84,6 +88,24 @@ class Workspace:
     def kind(self) -> CellKind:
         """Whether this cell's arms are real, emulated or simulated; ``none`` if none can move."""
         return "none" if self.profile is None else self.profile.cell_kind
+
+    @property
+    def arms_words(self) -> str:
+        """Which arms a job would move."""
+        return "REAL ARMS WILL MOVE" if self.kind == "real" else f"the arms are {self.kind}"
+
+    @property
+    def outcome(self) -> str:
+        """How the last session of collecting ended; empty without one, or if the program died in it."""
+        last = None if self.collection is None else self.collection.last
+        return "" if last is None else last.outcome or ""
+
+    @property
+    def drifts(self) -> bool:
+        """Whether the newest reference measurements of the run are beyond the limit."""
+        rows = () if (collection := self.collection) is None else collection.references
+        newest = (row for row in rows if row.stops_done == rows[-1].stops_done)
+        return collection is not None and any(row.drift_mm > collection.drift_limit_mm for row in newest)
 
     @property
     def unseen(self) -> Mapping[str, str]:

@@ -37,7 +37,7 @@ CONSTANT = LawForm("constant", "the same after any motion")
 SATURATING = LawForm("saturating", "taken up only by large steps", (WIDTH, TYPICAL_STEP))
 SMALL = LawForm("smooth", "taken up only by large steps, small by prior", (WIDTH, TYPICAL_STEP, AMPLITUDE))
 REACH = Constant("reach", "rad", FIXED, "over {}", "{} deg by joint {}", float(np.degrees(1.0)), per_joint=True)
-"""Travel after a turn over which a part of the lost motion changes to 1/e."""
+"""Travel after a reversal over which a part of the lost motion changes to 1/e."""
 BELL = Constant("bell_reach", "rad", FIXED, "as a bell over {}", REACH.each, REACH.factor, per_joint=True)
 """The same where it changes like a bell curve: friction of slow motion (Stribeck)."""
 LOAD_REACH = Constant("load_reach", "rad", FIXED, "under load over {}", REACH.each, REACH.factor, per_joint=True)

@@ -13,7 +13,7 @@ import re
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Literal, TypeVar, get_args
+from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
 
@@ -146,7 +146,7 @@ class Effect(ABC):
     forms: ClassVar[tuple[LawForm, ...]]
     """All forms of its law, the simplest first."""
     discrepancy_inputs: ClassVar[tuple[TermInput, ...]] = ()
-    """Drivers on which it may depend in ways that the law does not describe; if empty, the law is taken as exact."""
+    """Inputs on which it may depend in ways that the law does not describe; if empty, the law is taken as exact."""
 
     arm_bound: ClassVar[bool] = False
     """Whether it belongs to the arm itself: its parameters then remain valid with another base or tool."""
@@ -206,56 +206,26 @@ class Effect(ABC):
 # effects; in JSON their laws are named ``contradiction|effect|law`` and ``imitation|effect|law``. The unnamed term is
 # made of smooth laws, ``unnamed|effect|law``: each moves what its effect moves, without a claim that it is there.
 
-_CONTRADICTION, _IMITATION, _UNNAMED = "contradiction", "imitation", "unnamed"
+BorrowedFor = Literal["contradiction", "imitation", "unnamed"]
 
 
 @dataclass(frozen=True)
 class BorrowedForm(LawForm):
     """The form ``lent`` of an effect's law, without physical bounds, for something that is not that effect."""
 
+    purpose: BorrowedFor = field(kw_only=True)
     effect: Effect = field(kw_only=True)
     lent: LawForm = field(kw_only=True)
 
 
-@dataclass(frozen=True)
-class ContradictionForm(BorrowedForm):
-    """A borrowed form that fits only with physically impossible values."""
-
-
-@dataclass(frozen=True)
-class UnnamedForm(BorrowedForm):
-    """A smooth form that is a part of the unnamed term."""
-
-
-_Form = TypeVar("_Form", bound=BorrowedForm)
-
-
-def form_without_bounds(effect: Effect, form: LawForm) -> ContradictionForm:
-    """Return a form of an effect as a contradiction."""
-    return _borrowed(ContradictionForm, _CONTRADICTION, effect, form, ", but with impossible values")
-
-
-def imitation(effect: Effect, form: LawForm) -> BorrowedForm:
-    """Return a form of an effect as a part of an unknown effect."""
-    return _borrowed(BorrowedForm, _IMITATION, effect, form)
-
-
-def unnamed(effect: Effect, form: LawForm) -> UnnamedForm:
-    """Return a smooth form of an effect as a part of the unnamed term."""
-    return _borrowed(UnnamedForm, _UNNAMED, effect, form)
-
-
-def is_unnamed(law: Law) -> bool:
-    """Return whether a law is a part of the unnamed term."""
-    return isinstance(law.form, UnnamedForm)
-
-
-def _borrowed(kind: type[_Form], prefix: str, effect: Effect, form: LawForm, but: str = "") -> _Form:
-    return kind(
-        name="|".join((prefix, effect.slug, form.name)),
-        words=f"as {effect.title}, {form.words}{but}",
+def borrowed(purpose: BorrowedFor, effect: Effect, form: LawForm) -> BorrowedForm:
+    """Return a form of an effect for another purpose."""
+    return BorrowedForm(
+        name="|".join((purpose, effect.slug, form.name)),
+        words=f"as {effect.title}, {form.words}{', but with impossible values' * (purpose == 'contradiction')}",
         constants=form.constants,
         variables=form.variables or effect.variables,
+        purpose=purpose,
         effect=effect,
         lent=form,
     )
@@ -265,10 +235,10 @@ def borrowed_form_named(name: str, library: Mapping[str, Effect]) -> BorrowedFor
     """Return the borrowed form named so in JSON, else None; raise ``ValueError`` if the effect lacks the law."""
     prefix, _, rest = name.partition("|")
     slug, _, law = rest.partition("|")
-    make = {_CONTRADICTION: form_without_bounds, _IMITATION: imitation, _UNNAMED: unnamed}.get(prefix)
-    if make is None or slug not in library:
+    purpose = next((one for one in get_args(BorrowedFor) if one == prefix), None)
+    if purpose is None or slug not in library:
         return None
-    return make(library[slug], library[slug].form(law))
+    return borrowed(purpose, library[slug], library[slug].form(law))
 
 
 def lent_law(law: Law) -> Law:
@@ -285,7 +255,12 @@ def lent_effect(law: Law) -> Effect:
 
 def is_contradiction(law: Law) -> bool:
     """Return whether a law is a library law with impossible values."""
-    return isinstance(law.form, ContradictionForm)
+    return isinstance(law.form, BorrowedForm) and law.form.purpose == "contradiction"
+
+
+def is_unnamed(law: Law) -> bool:
+    """Return whether a law is a part of the unnamed term."""
+    return isinstance(law.form, BorrowedForm) and law.form.purpose == "unnamed"
 
 
 def is_borrowed(law: Law) -> bool:
@@ -391,12 +366,7 @@ def displacement(terms: Sequence[EffectTerm], effects: Mapping[str, Effect], con
     """Compute the sum of the displacements of all terms."""
     columns = [column for term in terms for column in ordered_columns(term, effects, context)]
     values = [value for term in terms for value in term.values.tolist()]
-    return displacement_by(columns, values, *context.q.shape)
-
-
-def displacement_by(columns: Sequence[EffectColumn], values: Sequence[float], n: int, joints: int) -> Displacement:
-    """Compute the sum of columns times values at ``n`` stops of an arm with ``joints`` joints."""
-    moved, shift_M = np.zeros((n, joints)), np.zeros((n, 3))
+    moved, shift_M = np.zeros(context.q.shape), np.zeros((len(context.q), 3))
     for column, value in zip(columns, values, strict=True):
         if column.joint is not None:
             assert column.offset is not None

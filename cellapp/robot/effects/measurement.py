@@ -169,7 +169,7 @@ class TrackerAngleError(Effect):
 _MOST_SLIP = 1e-2
 """Bound [m]: a target that slipped by a centimetre has fallen off."""
 _MOST_ROTATION = 0.1
-"""Bound [rad] of a probe's turn in its mount; from twice this a calibration refuses the orientations."""
+"""Bound [rad] of a probe's rotation in its mount; from twice this a calibration refuses the orientations."""
 _MOST_INCIDENCE = 5e-3
 """Bound [m]: ``1 - cos th`` is 0.13 at 30 degrees, so that this is 0.7 mm, some thirty times the error of a prism."""
 RADIAL = LawForm("radial", "along the beam")

@@ -1,11 +1,11 @@
-"""Discrepancy term of an effect: its columns times smooth functions of the effect's own drivers.
+"""Discrepancy term of an effect: its columns times smooth functions of the effect's own inputs.
 
-A law is never exactly right. With base column B, fitted value v and a smooth function g of a driver z,
+A law is never exactly right. With base column B, fitted value v and a smooth function g of an input z,
 
     displacement = B v (1 + g(z)),    g(z) = sum_k c_k f_k(z) / v,
 
 f_k = cos kz, sin kz (k = 1 to 3) for an angle that closes on itself, else cos(k pi u) (k = 1 to 4) with u from 0 to 1
-over the range that z had in the run. A driver may be the size of B itself (k = 1 to 8), for a response that is not
+over the range that z had in the run. An input may be the size of B itself (k = 1 to 8), for a response that is not
 proportional. So the residual of a law stays with its effect and does not look like another effect.
 """
 
@@ -24,11 +24,11 @@ from cellapp.robot.kinematics.transforms import Array
 HARMONICS = 3
 """Highest multiple of an angle: with a law of n cycles per revolution its neighbours n - 3 to n + 3 are covered."""
 HALF_CYCLES = 4
-"""Most half cycles over the range of other drivers: the error of a nearly right law is smooth."""
+"""Most half cycles over the range of other inputs: the error of a nearly right law is smooth."""
 OWN_HALF_CYCLES = 8
 """Most half cycles over the column's own size: knees of springs are resolved to an eighth of the range."""
 _OWN_SIZE_NAME = "own size"
-"""Name of the driver that is the size of the base column itself."""
+"""Name of the input that is the size of the base column itself."""
 _REPRESENTATIVES: Mapping[Quantity, tuple[int, ...]] = {
     Quantity.JOINT_ANGLE: (0,),
     Quantity.TORQUE: (1, 2),
@@ -65,28 +65,28 @@ OWN_SIZE = TermInput(None)
 
 @dataclass(frozen=True)
 class Modulation:
-    """One column of a discrepancy term: a base column times one function of a driver.
+    """One column of a discrepancy term: a base column times one function of an input.
 
     Attributes
     ----------
     base : str
         Name of the base column.
-    driver : Variable or None
+    variable : Variable or None
         None for the size of the base column itself.
     order : int
         k, from 1.
     sine : bool
         Sine instead of cosine; angles that close on themselves only.
     absolute : bool
-        Of the driver's absolute value.
+        Of the input's absolute value.
     low, high : float
-        Range of the driver in the run, in its unit; not of angles that close on themselves.
+        Range of the input in the run, in its unit; not of angles that close on themselves.
     scale : float
         Of an absolute value z: u follows ``z / (z + scale)``, which resolves small values more finely. 0: u follows z.
     """
 
     base: str
-    driver: Variable | None
+    variable: Variable | None
     order: int
     sine: bool = False
     absolute: bool = False
@@ -95,21 +95,21 @@ class Modulation:
     scale: float = 0.0
 
     @property
-    def driver_name(self) -> str:
+    def input_name(self) -> str:
         """``q2``, ``|torque2|``, ``time``, ``own size``."""
-        if self.driver is None:
+        if self.variable is None:
             return _OWN_SIZE_NAME
-        return f"|{self.driver.name}|" if self.absolute else self.driver.name
+        return f"|{self.variable.name}|" if self.absolute else self.variable.name
 
     @property
     def name(self) -> str:
         """Name of its column, for example ``half_play2*cos1(|step2|)``."""
-        return f"{self.base}*{'sin' if self.sine else 'cos'}{self.order}({self.driver_name})"
+        return f"{self.base}*{'sin' if self.sine else 'cos'}{self.order}({self.input_name})"
 
     def values(self, base: EffectColumn, context: EffectContext) -> Array:
-        """The function (n,); 0, no modulation, where the driver is unknown."""
-        z = _driver_values(self.driver, base, context, absolute=self.absolute)
-        if closes(self.driver):
+        """The function (n,); 0, no modulation, where the input is unknown."""
+        z = _input_values(self.variable, base, context, absolute=self.absolute)
+        if closes(self.variable):
             wave = np.sin if self.sine else np.cos
             return np.asarray(np.nan_to_num(wave(self.order * z)), dtype=np.float64)
         low, high = _compressed(np.array([self.low, self.high]), self.scale).tolist()
@@ -131,9 +131,9 @@ class Modulation:
         )
 
 
-def closes(driver: Variable | None) -> bool:
-    """Whether a driver is an angle that closes on itself after a turn."""
-    return driver is not None and (driver.is_joint_angle or driver.quantity is Quantity.AZIMUTH)
+def closes(variable: Variable | None) -> bool:
+    """Whether an input is an angle that closes on itself after a turn."""
+    return variable is not None and (variable.is_joint_angle or variable.quantity is Quantity.AZIMUTH)
 
 
 def _compressed(z: Array, scale: float) -> Array:
@@ -141,10 +141,10 @@ def _compressed(z: Array, scale: float) -> Array:
     return z if scale == 0.0 else np.asarray(z / (z + scale))
 
 
-def _driver_values(driver: Variable | None, base: EffectColumn, context: EffectContext, *, absolute: bool) -> Array:
-    """Values (n,) of a driver; NaN where unknown."""
-    if driver is not None:
-        values = driver.values(context)
+def _input_values(variable: Variable | None, base: EffectColumn, context: EffectContext, *, absolute: bool) -> Array:
+    """Values (n,) of an input; NaN where unknown."""
+    if variable is not None:
+        values = variable.values(context)
         return np.abs(values) if absolute else values
     if base.offset is not None:
         return np.abs(base.offset)
@@ -152,14 +152,14 @@ def _driver_values(driver: Variable | None, base: EffectColumn, context: EffectC
     return np.asarray(np.linalg.norm(base.shift_M, axis=1))
 
 
-def modulations(driver: TermInput, columns: Sequence[EffectColumn], context: EffectContext) -> tuple[Modulation, ...]:
-    """The modulations of some columns by one driver; none where it does not vary in the run."""
+def modulations(inputs: TermInput, columns: Sequence[EffectColumn], context: EffectContext) -> tuple[Modulation, ...]:
+    """The modulations of some columns by one input; none where it does not vary in the run."""
     known = set(variables(context))
     found: list[Modulation] = []
     for column in columns:
-        for variable in driver.variables(column):
+        for variable in inputs.variables(column):
             if variable is None or variable in known:
-                found += _of_variable(column, variable, driver.absolute, context)
+                found += _of_variable(column, variable, inputs.absolute, context)
     return tuple(found)
 
 
@@ -169,7 +169,7 @@ def _of_variable(
     if closes(variable):
         orders = range(1, HARMONICS + 1)
         return [Modulation(base.name, variable, k, sine=sine) for k in orders for sine in (False, True)]
-    values = _driver_values(variable, base, context, absolute=absolute)
+    values = _input_values(variable, base, context, absolute=absolute)
     low, high = float(values.min()), float(values.max())
     most = min(HALF_CYCLES if variable is not None else OWN_HALF_CYCLES, len(np.unique(values)) - 1)
     # short steps and small loads leave most to see: half of the values are below the scale
@@ -199,12 +199,13 @@ def with_modulations(
 
 def modulation_to_json(one: Modulation) -> dict[str, Any]:
     """A modulation for JSON."""
-    return {**vars(one), "driver": _OWN_SIZE_NAME if one.driver is None else one.driver.name}
+    name = _OWN_SIZE_NAME if one.variable is None else one.variable.name
+    return {"base": one.base, "driver": name} | {key: value for key, value in vars(one).items() if key != "variable"}
 
 
 def modulation_from_json(content: Mapping[str, Any]) -> Modulation:
-    """Read what ``modulation_to_json`` wrote. Raises ``ValueError`` for a driver that is not known."""
-    driver = variable_named(content["driver"])
-    if driver is None and content["driver"] != _OWN_SIZE_NAME:
+    """Read what ``modulation_to_json`` wrote. Raises ``ValueError`` for an input that is not known."""
+    variable = variable_named(content["driver"])
+    if variable is None and content["driver"] != _OWN_SIZE_NAME:
         raise ValueError(f"this version does not know the variable '{content['driver']}' of a discrepancy term")
-    return Modulation(**{**content, "driver": driver})
+    return Modulation(variable=variable, **{key: value for key, value in content.items() if key != "driver"})

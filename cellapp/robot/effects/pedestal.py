@@ -47,8 +47,8 @@ class PedestalCompliance(Effect):
     pivot
         The tilt is about points h_x, h_y below the base: its origin moves by ``w x (h z)`` as well, ``c h`` in m/Nm.
     general
-        The tilt, and as refinements all that a frame does that is not symmetric: turns across the moment and about the
-        vertical [rad/Nm], shifts in any direction [m/Nm], and what the weight alone does about a pivot that is not
+        The tilt, and as refinements all that a frame does that is not symmetric: rotations across the moment and about
+        the vertical [rad/Nm], shifts in any direction [m/Nm], and what the weight alone does about a pivot that is not
         below the base [rad/N, m/N].
 
     Size: 2e6 Nm/rad under 127 Nm is 60 µrad, 70 to 140 µm on a UR10 (stiffness is an estimate, moment computed). 36 %
@@ -97,7 +97,7 @@ class PedestalCompliance(Effect):
 
 
 def _unsymmetric(context: EffectContext, moments: Array, axes: Array) -> list[EffectColumn]:
-    """Turns across the own moment (n, 2) and about the vertical, and shifts, in a block of turns and one of shifts."""
+    """Rotations across the own moment (n, 2) and about the vertical, and shifts, in a block of each kind."""
     x, y = axes
     tilts = [("x", "y", x), ("y", "x", y), ("z", "x", np.cross(x, y)), ("z", "y", np.cross(x, y))]
     moved = [(f"turn_{letter}_{by}", "rad/Nm", by, context.twist_shift(0, None, axis)) for letter, by, axis in tilts]

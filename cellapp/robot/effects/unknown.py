@@ -37,14 +37,15 @@ from cellapp.robot.effects.data_driven import (
 )
 from cellapp.robot.effects.effect import (
     BorrowedForm,
-    ContradictionForm,
     Effect,
     Meaning,
+    borrowed,
     borrowed_form_named,
     contradiction_meaning,
     enumeration,
+    is_contradiction,
+    lent_effect,
     lent_law,
-    unnamed,
 )
 from cellapp.robot.effects.law import AMPLITUDE, Constant, InputVariable, Law, LawForm, SmoothLaw, with_prior_sd
 from cellapp.robot.effects.time_functions import run_span, with_default
@@ -199,12 +200,12 @@ class Unknown(Effect):
 
     def smooth_laws(self, context: EffectContext) -> list[SmoothLaw]:
         """Neighbouring joints, without a name."""
-        return [SmoothLaw(unnamed(self, PAIRS).name, 2e-5)]
+        return [SmoothLaw(borrowed("unnamed", self, PAIRS).name, 2e-5)]
 
     def meaning_of(self, law: Law) -> Meaning:
         """Checks by place and further stops by variables; those of the effect that a contradiction behaves like."""
-        if isinstance(law.form, ContradictionForm):
-            return contradiction_meaning(law.form.effect)
+        if is_contradiction(law):
+            return contradiction_meaning(lent_effect(law))
         if isinstance(law.form, BorrowedForm):
             return imitation_meaning(law.form.effect.title, law.form.effect.meaning)
         if not isinstance(law.form, DataDrivenForm):

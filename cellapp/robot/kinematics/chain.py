@@ -698,9 +698,9 @@ def _hayati_row(row: Array, published: Array) -> tuple[Array, float, float]:
     theta_new = math.atan2(sign * y, sign * x)
     in_row = rotation_z(-theta_new) @ axis
     beta, alpha_new = math.asin(in_row[0]), math.atan2(-in_row[1], in_row[2])
-    left = (rotation_z(theta_new) @ rotation_x(alpha_new) @ rotation_y(beta)).T @ rotation_z(theta) @ rotation_x(alpha)
+    rest = (rotation_z(theta_new) @ rotation_x(alpha_new) @ rotation_y(beta)).T @ rotation_z(theta) @ rotation_x(alpha)
     rotated = np.array([theta_new, published[1], sign * math.hypot(x, y), alpha_new, beta])
-    return rotated, math.atan2(left[1, 0], left[0, 0]), float(shift)
+    return rotated, math.atan2(rest[1, 0], rest[0, 0]), float(shift)
 
 
 def plain_rows_of(origins: Array, published: Array) -> Array:

@@ -242,7 +242,7 @@ def _parallel_axes(chain: _Chain, R: Array, o6: Array, free: Array) -> Array:
     in_flange = np.einsum("nba,nijb->nija", R, h)
     after = np.stack([in_flange[..., 0], c[5] * in_flange[..., 1] - s[5] * in_flange[..., 2]], axis=-1)
     phi6 = _between(after, before, free[:, 5, None, None])
-    R_04 = R[:, None, None] @ _turn(phi6, c[5], s[5]).swapaxes(-1, -2) @ _turn(phi5, c[4], s[4]).swapaxes(-1, -2)
+    R_04 = R[:, None, None] @ _rot_zx(phi6, c[5], s[5]).swapaxes(-1, -2) @ _rot_zx(phi5, c[4], s[4]).swapaxes(-1, -2)
     o4 = o5[:, None, None] - d[4] * R_04[..., :, 2]
     return _planar(chain, phi1, R_04, o4, phi5, phi6)
 
@@ -272,12 +272,12 @@ def _spherical_wrist(chain: _Chain, R: Array, o6: Array, free: Array) -> Array:
     forearm = complex(a[2], -c[1] * d[3] * s[2])  # as seen from frame 1, before joint 3 turns it
     phi2, bend = _two_links(v[..., 0] + 1j * v[..., 1], float(a[1]), abs(forearm))
     phi3 = c[1] * (bend - np.angle(forearm))
-    R_03 = R_1[:, :, None] @ _turn(phi2, c[1], s[1]) @ _turn(phi3, c[2], s[2])
-    left = R_03.swapaxes(-1, -2) @ (R @ _rotation_x(c[5], -s[5]))[:, None, None]
-    phi5 = _arccos((c[3] * c[4] - left[..., 2, 2]) / (s[3] * s[4]))[..., None] * np.array([1.0, -1.0])
+    R_03 = R_1[:, :, None] @ _rot_zx(phi2, c[1], s[1]) @ _rot_zx(phi3, c[2], s[2])
+    wrist = R_03.swapaxes(-1, -2) @ (R @ _rotation_x(c[5], -s[5]))[:, None, None]
+    phi5 = _arccos((c[3] * c[4] - wrist[..., 2, 2]) / (s[3] * s[4]))[..., None] * np.array([1.0, -1.0])
     axis = np.stack([s[4] * np.sin(phi5), -c[3] * s[4] * np.cos(phi5) - s[3] * c[4]], axis=-1)
-    phi4 = _between(axis, left[..., None, :2, 2], free[:, 3, None, None, None])
-    of_6 = (_turn(phi4, c[3], s[3]) @ _turn(phi5, c[4], s[4])).swapaxes(-1, -2) @ left[..., None, :, :]
+    phi4 = _between(axis, wrist[..., None, :2, 2], free[:, 3, None, None, None])
+    of_6 = (_rot_zx(phi4, c[3], s[3]) @ _rot_zx(phi5, c[4], s[4])).swapaxes(-1, -2) @ wrist[..., None, :, :]
     phi6 = np.arctan2(of_6[..., 1, 0], of_6[..., 0, 0])
     parts = (phi1[:, :, None, None], phi2[..., None], phi3[..., None], phi4, phi5, phi6)
     return np.stack(np.broadcast_arrays(*parts), axis=-1).reshape(len(o6), 8, 6)
@@ -295,7 +295,7 @@ def _frame_1(chain: _Chain, phi1: Array) -> tuple[Array, Array]:
     """Rotations (..., 3, 3) and origins (..., 3) [m] of frame 1 in the base frame."""
     d, a = chain.d[0], chain.a[0]
     origin = np.stack([a * np.cos(phi1), a * np.sin(phi1), np.full(phi1.shape, d)], axis=-1)
-    return _turn(phi1, chain.c[0], chain.s[0]), origin
+    return _rot_zx(phi1, chain.c[0], chain.s[0]), origin
 
 
 def _two_links(tip: Array, first: float, second: float) -> tuple[Array, Array]:
@@ -318,7 +318,7 @@ def _between(from_xy: Array, to_xy: Array, free: Array) -> Array:
     return np.asarray(np.where(np.hypot(from_xy[..., 0], from_xy[..., 1]) < _ROUNDING, free, angle))
 
 
-def _turn(phi: Array, c: float, s: float) -> Array:
+def _rot_zx(phi: Array, c: float, s: float) -> Array:
     """``rot_z(phi) rot_x(alpha)`` (..., 3, 3) from the cosine and sine of alpha."""
     cp, sp, zero = np.cos(phi), np.sin(phi), np.zeros(np.shape(phi))
     rows = ((cp, -sp * c, sp * s), (sp, cp * c, -cp * s), (zero, zero + s, zero + c))
@@ -374,7 +374,7 @@ def sampled_solutions(
 ) -> Array:
     """Find joint positions (n, K, N) [rad] that reach n poses, each joint within half a turn of ``near`` (N,).
 
-    Positions (n, 3) [m] of the SMR and rotations (n, 3, 3) of the flange are in the tracker frame. Samples are drawn
+    Positions (n, 3) [m] of the SMR and rotations (n, 3, 3) of the flange are in the tracker frame. Samples are taken
     from ``seed`` within ``limits`` (N, 2) [rad]. The result is padded with NaN.
     """
     samples = sampled_configurations(limits, near, seed)
@@ -425,7 +425,7 @@ def missed_distances(geometry: Geometry, position_M: Array, start: Array) -> Arr
 
 
 def sampled_configurations(limits: Array, near: Array, seed: int) -> Array:
-    """Draw configurations (m, N) [rad] within limits (N, 2), and within half a turn of ``near`` if limits allow."""
+    """Sample configurations (m, N) [rad] within limits (N, 2), and within half a turn of ``near`` if limits allow."""
     middle = np.clip(near, limits[:, 0] + np.pi, limits[:, 1] - np.pi)
     low, high = np.maximum(limits[:, 0], middle - np.pi), np.minimum(limits[:, 1], middle + np.pi)
     return np.random.default_rng([seed, 0x7A6]).uniform(low, high, size=(_SAMPLES, len(low)))
@@ -560,7 +560,7 @@ def all_branches(
     return q
 
 
-def turned_into(q: Array, limits: Array, to: Array) -> tuple[Array, Array]:
+def shifted_into(q: Array, limits: Array, to: Array) -> tuple[Array, Array]:
     """Shift each joint of ``q`` (..., N) by whole turns to the position within ``limits`` (N, 2) nearest to ``to``.
 
     Returns

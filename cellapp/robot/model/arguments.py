@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Mapping
 from typing import Any, TypeVar
@@ -10,6 +9,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cellapp.ground.counting import did_you_mean
 from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.transforms import Array
 
@@ -44,9 +44,7 @@ def of_arm(arms: Mapping[str, Value], name: str, owner: str) -> Value:
     """
     if name in arms:
         return arms[name]
-    close = difflib.get_close_matches(name, arms, n=1)
-    hint = f"; did you mean '{close[0]}'?" if close else ""
-    raise InputError(f"no arm '{name}'; arms of {owner}: {', '.join(arms)}{hint}")
+    raise InputError(f"no arm '{name}'; arms of {owner}: {', '.join(arms)}{did_you_mean(name, arms)}")
 
 
 def configurations(q: ArrayLike, joints: int, arm: str = "") -> Array:

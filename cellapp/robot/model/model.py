@@ -15,6 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
+from cellapp.ground.file_text import file_text
+from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import plain_data
 from cellapp.robot.effects import (
@@ -203,7 +205,7 @@ class ArmModel:
     smr_normal : array, shape (3,), or None
         SMR viewing direction in the flange frame.
     posterior : PosteriorSamples or None
-        Uncertainty of geometry and effects, as draws.
+        Uncertainty of geometry and effects, as samples.
     """
 
     geometry: Geometry
@@ -334,8 +336,8 @@ class ArmModel:
         """Compute the standard deviation (n,) [m] of a predicted coordinate at ``q`` (n, N) [rad], without noise.
 
         It is the rms over the three coordinates and includes geometry, effects and network; zero if the model has
-        neither draws nor a network. It grows outside the trained joint ranges. For a measured orientation it is that of
-        a component of the rotation [rad].
+        neither samples nor a network. It grows outside the trained joint ranges. For a measured orientation it is that
+        of a component of the rotation [rad].
         """
         q = configurations(q, self.geometry.joints)
         variance = np.zeros(len(q))
@@ -364,7 +366,7 @@ class ArmModel:
     def noise(self, q: Array) -> Array:
         """Compute the standard deviation (n,) [m] of a measured coordinate about the true one at ``q`` (n, N) [rad].
 
-        It depends on the configuration where the scatter of the joints is known; zero if the model has no draws.
+        It depends on the configuration where the scatter of the joints is known; zero if the model has no samples.
         """
         q = configurations(q, self.geometry.joints)
         if self.posterior is None:
@@ -513,13 +515,7 @@ class CellModel:
     @classmethod
     def load(cls, path: Path | str) -> CellModel:
         """Read a calibration file; raise ``InputError`` if it is missing, damaged or of another version."""
-        path = Path(path)
-        try:
-            text = path.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            reason = error.strerror if isinstance(error, OSError) else "not text"
-            raise InputError(f"{path}: cannot be read ({reason}); run 'cellapp calibrate DIR' first") from None
-        return cls.from_json(text, str(path))
+        return cls.from_json(file_text(Path(path), "run 'cellapp calibrate DIR' first"), str(path))
 
 
 def _geometry_to_json(geometry: Geometry) -> dict[str, Any]:
@@ -596,7 +592,7 @@ def _arm_from_json(content: Mapping[str, Any]) -> ArmModel:
 # -- Express a calibrated cell in the tracker frame of a new station, after the tracker was moved ---------------------
 #
 # Geometry, effects and networks of the arms stay; their bases and the direction of gravity are expressed in the new
-# tracker frame. The uncertainty of the new station is the same for all arms: it is added to the draws of each arm's
+# tracker frame. The uncertainty of the new station is the same for all arms: it is added to the samples of each arm's
 # base.
 
 
@@ -606,8 +602,8 @@ _BASE = tuple(range(len(BASE_NAMES)))
 def relocated(model: CellModel, T_new_old: Array, twists: Array | None = None) -> CellModel:
     """Return the cell in the new tracker frame; ``T_new_old`` (4, 4) maps coordinates of the old frame into the new.
 
-    ``twists`` (S, 6) are draws of the error of ``T_new_old``, one per draw of the arms' posteriors: shift of the point
-    at the new origin [m], then rotation [rad], both in the new frame. Arms without draws get none.
+    ``twists`` (S, 6) are samples of the error of ``T_new_old``, one per sample of the arms' posteriors: shift of the
+    point at the new origin [m], then rotation [rad], both in the new frame. Arms without samples get none.
     """
     station = T_new_old if model.T_M_M0 is None else T_new_old @ model.T_M_M0
     arms = {name: _relocated_arm(arm, T_new_old, twists) for name, arm in model.arms.items()}
@@ -632,7 +628,7 @@ def _relocated_arm(arm: ArmModel, T: Array, twists: Array | None) -> ArmModel:
 def _relocated_covariance(arm: ArmModel, base_map: Array, added: Array | None) -> Array | None:
     """Transform the covariance of the identified parameters; None if the base was not identified completely.
 
-    The station's part is added as uncorrelated; only the draws keep its correlation with the arm's own parameters.
+    The station's part is added as uncorrelated; only the samples keep its correlation with the arm's own parameters.
     """
     if arm.covariance is None or not set(BASE_NAMES) <= set(arm.identified):
         return None
@@ -666,16 +662,16 @@ def _adjoint(T: Array) -> Array:
     return whole
 
 
-# -- Uncertainty of predictions from draws of all fitted parameters about their estimate ------------------------------
+# -- Uncertainty of predictions from samples of all fitted parameters about their estimate ----------------------------
 #
 # The posterior of geometry and effects is close to normal, but with smooth functions its covariance has a million
-# entries. S draws of the parameters keep all correlations and give the standard deviation of any prediction with a
-# relative error of 1 / sqrt(2 S): 9 % with 64. With up to S parameters the draws are made orthogonal, so that their
+# entries. S samples of the parameters keep all correlations and give the standard deviation of any prediction with a
+# relative error of 1 / sqrt(2 S): 9 % with 64. With up to S parameters the samples are made orthogonal, so that their
 # second moment is exactly the covariance.
 
 SAMPLES = 64
 _DIGITS = 4
-"""Significant digits of a draw in JSON: more than enough, as the scatter is known to one digit."""
+"""Significant digits of a sample in JSON: more than enough, as the scatter is known to one digit."""
 
 
 class ReadingsNoise(NamedTuple):
@@ -695,7 +691,7 @@ class ReadingsNoise(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PosteriorSamples:
-    """Deviations of the fitted parameters from their estimate in S draws, and the scatter of the readings.
+    """Deviations of the fitted parameters from their estimate in S samples, and the scatter of the readings.
 
     Attributes
     ----------
@@ -727,7 +723,7 @@ class PosteriorSamples:
         seed: Sequence[int],
         tied: Sequence[tuple[int, int]] = (),
     ) -> PosteriorSamples:
-        """Draw from ``covariance`` (p, p) of K geometric parameters and of terms with ``sizes`` parameters.
+        """Sample from ``covariance`` (p, p) of K geometric parameters and of terms with ``sizes`` parameters.
 
         Further geometric parameters are ``tied``, each to one of ``columns``.
         """
@@ -747,7 +743,7 @@ class PosteriorSamples:
         return cls((*columns, *(column for column, _ in tied)), geometry, tuple(parts[1:]), *noise)
 
     def of_columns(self, end: int) -> PosteriorSamples:
-        """Keep the draws of geometric parameters before ``end`` and of all terms; drop the noise of orientations."""
+        """Keep the samples of geometric parameters before ``end`` and of all terms; drop the noise of orientations."""
         kept = [place for place, column in enumerate(self.columns) if column < end]
         columns = tuple(self.columns[place] for place in kept)
         return replace(self, columns=columns, geometry=self.geometry[:, kept], noise_rad=None, noise_axes_rad=None)
@@ -774,21 +770,16 @@ class PosteriorSamples:
 
 
 def _add(joints: Array, moved: Array, columns: Sequence[EffectColumn], sampled: Array) -> None:
-    """Add joint offsets (S, n, N) and shifts (S, n, 3) of columns with drawn values (S, m)."""
-    by_joint: dict[int, list[int]] = {}
-    shifting: NDArray[np.intp] = np.array([k for k, one in enumerate(columns) if one.joint is None], dtype=np.intp)
-    for k, column in enumerate(columns):
-        if column.joint is not None:
-            by_joint.setdefault(column.joint, []).append(k)
-    for joint, own in by_joint.items():
-        joints[:, :, joint] += sampled[:, own] @ np.array([columns[k].offset for k in own])
-    if len(shifting):
-        shifts = np.array([columns[k].shift_M for k in shifting])
-        moved += np.tensordot(sampled[:, shifting], shifts, axes=1)
+    """Add joint offsets (S, n, N) and shifts (S, n, 3) of columns with sampled values (S, m)."""
+    for joint, own in grouped((column.joint, k) for k, column in enumerate(columns)).items():
+        if joint is None:
+            moved += np.tensordot(sampled[:, own], np.array([columns[k].shift_M for k in own]), axes=1)
+        else:
+            joints[:, :, joint] += sampled[:, own] @ np.array([columns[k].offset for k in own])
 
 
 def posterior_to_json(posterior: PosteriorSamples) -> dict[str, Any]:
-    """Convert draws to a JSON object, rounded."""
+    """Convert samples to a JSON object, rounded."""
     return {
         "columns": list(posterior.columns),
         "geometry": _rounded(posterior.geometry),

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 import scipy
@@ -19,25 +19,29 @@ _BLEND_SAMPLES = 2049
 """Number of samples of a rounded corner: the interpolation error is about 1e-6 of the blend."""
 
 
-class Piece(Protocol):
+class Piece(ABC):
     """A curve in space; ``x`` (n,) is the arc length from its beginning [m]."""
 
     @property
+    @abstractmethod
     def length(self) -> float:
         """Arc length [m]."""
 
+    @abstractmethod
     def positions(self, x: Array) -> Array:
         """Points (n, 3) [m]; beyond the ends the curve goes on."""
 
+    @abstractmethod
     def tangents(self, x: Array) -> Array:
         """Unit tangents (n, 3)."""
 
     def along(self, x: Array) -> Array:
         """Fraction (n,) of the piece, 0 to 1, by which rotations are interpolated."""
+        return np.asarray(x / self.length)
 
 
 @dataclass(frozen=True, eq=False)
-class Line:
+class Line(Piece):
     """The straight line from ``start`` to ``end`` (3,) [m]."""
 
     start: Array
@@ -56,13 +60,9 @@ class Line:
         """Unit tangents (n, 3)."""
         return np.tile((self.end - self.start) / self.length, (len(x), 1))
 
-    def along(self, x: Array) -> Array:
-        """Share of the course."""
-        return np.asarray(x / self.length)
-
 
 @dataclass(frozen=True, eq=False)
-class Arc:
+class Arc(Piece):
     """The arc ``center + radius (cos(phi) u + sin(phi) v)``, phi from 0 to ``angle`` [rad]; u, v orthonormal."""
 
     center: Array
@@ -102,13 +102,9 @@ class Arc:
         phi = x / self.radius
         return np.asarray(np.multiply.outer(np.cos(phi), self.v) - np.multiply.outer(np.sin(phi), self.u))
 
-    def along(self, x: Array) -> Array:
-        """Share of the course."""
-        return np.asarray(x / self.length)
-
 
 @dataclass(frozen=True, eq=False)
-class PathPart:
+class PathPart(Piece):
     """The part of a piece from arc length ``begin`` to ``end`` [m]."""
 
     whole: Piece
@@ -128,13 +124,9 @@ class PathPart:
         """Unit tangents (n, 3)."""
         return self.whole.tangents(x + self.begin)
 
-    def along(self, x: Array) -> Array:
-        """Share of the course."""
-        return np.asarray(x / self.length)
-
 
 @dataclass(frozen=True, eq=False)
-class Blend:
+class Blend(Piece):
     """A Bezier curve of fifth degree that rounds a corner, with the corner's tangents and no curvature at its ends.
 
     Attributes

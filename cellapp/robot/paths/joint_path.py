@@ -20,7 +20,7 @@ import scipy
 
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.chain import Geometry, frame_poses
-from cellapp.robot.kinematics.inverse import all_branches, solve_pose, turned_into
+from cellapp.robot.kinematics.inverse import all_branches, shifted_into, solve_pose
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
 from cellapp.robot.paths.cartesian import CartesianPath
@@ -144,7 +144,7 @@ def joint_path(
         stretch, deviation = _stretch(solver, tolerance_m, cross_s)
         worst = max(worst, deviation)
         stretches.append(stretch)
-    return JointPath(tuple(_with_turns_at_stops(arm, stretches, conditions)), *worst)
+    return JointPath(tuple(_with_reversals_at_stops(arm, stretches, conditions)), *worst)
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
@@ -200,18 +200,18 @@ def _stretch(solver: _Solver, tolerance_m: float, cross_s: float) -> tuple[Stret
     s = np.linspace(solver.begin, solver.end, count + 1)
     joints = solver.guess(s[:1]).shape[1]
     middle = solver.readings(s, np.zeros((len(s), joints)))
-    turns = _turns(s, middle)
-    crossings = _crossings(solver, s, middle, turns, cross_s)
+    reversals = _reversals(s, middle)
+    crossings = _crossings(solver, s, middle, reversals, cross_s)
     for _ in range(_ROUNDS):
-        approach = _approach(s, turns, crossings)
+        approach = _approach(s, reversals, crossings)
         q = solver.readings(s, approach)
         between = 0.5 * (s[:-1] + s[1:])
         off = solver.deviation(
-            between, scipy.interpolate.CubicSpline(s, q)(between), _approach(between, turns, crossings)
+            between, scipy.interpolate.CubicSpline(s, q)(between), _approach(between, reversals, crossings)
         )
         coarse = off > _SHARE * tolerance_m
         if not coarse.any():
-            signs = _approach(s[[0, -1]], turns, [])
+            signs = _approach(s[[0, -1]], reversals, [])
             stretch = Stretch(s, q, signs[0], signs[1], tuple(crossings))
             return stretch, (float(off.max()), float(between[int(np.argmax(off))]))
         s = np.sort(np.concatenate([s, between[coarse]]))
@@ -219,11 +219,11 @@ def _stretch(solver: _Solver, tolerance_m: float, cross_s: float) -> tuple[Stret
     raise PathError(f"the path cannot be followed to {tolerance_m * 1e3:g} mm", float(between[worst]))
 
 
-def _turns(s: Array, q: Array) -> list[tuple[float, list[float]]]:
+def _reversals(s: Array, q: Array) -> list[tuple[float, list[float]]]:
     """Find for each joint the sign of its first motion and the arc lengths of its reversals."""
     found = []
     for values in q.T:
-        sign, extreme, turns = 0.0, 0, []
+        sign, extreme, reversals = 0.0, 0, []
         for k in range(1, len(values)):  # a joint turns at an extreme that it leaves by more than ``_MOVED_RAD``
             ahead = values[k] - values[extreme]
             if sign == 0.0 and abs(ahead) > _MOVED_RAD:
@@ -232,18 +232,18 @@ def _turns(s: Array, q: Array) -> list[tuple[float, list[float]]]:
             elif ahead * sign > 0.0:
                 extreme = k
             elif abs(ahead) > _MOVED_RAD and sign != 0.0:
-                turns.append(float(s[extreme]))
+                reversals.append(float(s[extreme]))
                 sign, extreme = -sign, k
-        found.append((first if sign != 0.0 else 1.0, turns))
+        found.append((first if sign != 0.0 else 1.0, reversals))
     return found
 
 
 def _crossings(
-    solver: _Solver, s: Array, q: Array, turns: list[tuple[float, list[float]]], cross_s: float
+    solver: _Solver, s: Array, q: Array, reversals: list[tuple[float, list[float]]], cross_s: float
 ) -> list[Reversal]:
     """Find the reversals at which a joint's command crosses backlash."""
     found = []
-    for j, (_, places) in enumerate(turns):
+    for j, (_, places) in enumerate(reversals):
         for at in places:
             reading = scipy.interpolate.CubicSpline(s, q)(np.array([at]))
             jump, lever = _play(solver.arm, reading, solver.conditions, j)
@@ -265,11 +265,11 @@ def _play(arm: ArmModel, q: Array, conditions: Conditions, j: int) -> tuple[floa
     return float(true[0, j] - true[1, j]), float(lever)
 
 
-def _approach(s: Array, turns: list[tuple[float, list[float]]], crossings: list[Reversal]) -> Array:
+def _approach(s: Array, reversals: list[tuple[float, list[float]]], crossings: list[Reversal]) -> Array:
     """Compute approach signs (n, N) along a stretch: smooth where backlash is crossed, elsewhere -1 or +1."""
     windows = {(crossing.joint - 1, crossing.at_m): crossing.window_m for crossing in crossings}
-    signs = np.empty((len(s), len(turns)))
-    for j, (first, places) in enumerate(turns):
+    signs = np.empty((len(s), len(reversals)))
+    for j, (first, places) in enumerate(reversals):
         signs[:, j], sign = first, first
         for at in places:
             width = max(windows.get((j, at), 0.0), 1e-9)
@@ -279,13 +279,13 @@ def _approach(s: Array, turns: list[tuple[float, list[float]]], crossings: list[
     return signs
 
 
-def _with_turns_at_stops(arm: ArmModel, stretches: list[Stretch], conditions: Conditions) -> list[Stretch]:
+def _with_reversals_at_stops(arm: ArmModel, stretches: list[Stretch], conditions: Conditions) -> list[Stretch]:
     """Add to each stretch the reversals of joints at the stop before it."""
     found = stretches[:1]
     for before, after in pairwise(stretches):
-        rotated = np.flatnonzero(before.end_signs != after.signs)
+        reversing = np.flatnonzero(before.end_signs != after.signs)
         at = float(after.s[0])
-        plays = [(int(j), *_play(arm, after.q[:1], conditions, int(j))) for j in rotated]
+        plays = [(int(j), *_play(arm, after.q[:1], conditions, int(j))) for j in reversing]
         more = tuple(
             Reversal(j + 1, at, abs(jump) * lever, 0.0) for j, jump, lever in plays if abs(jump) >= _NO_PLAY_RAD
         )
@@ -360,8 +360,8 @@ def _samples(path: CartesianPath) -> Array:
     found = [np.zeros(1)]
     for begin, end in zip(path.stops, path.stops[1:], strict=False):
         trial = np.linspace(begin, end, max(9, int(np.ceil((end - begin) / _COARSE_M)) + 1))
-        turns = path.poses(np.minimum(trial, np.nextafter(end, begin)))[1]
-        angle = np.arccos(np.clip(0.5 * (np.einsum("nij,nij->n", turns[1:], turns[:-1]) - 1.0), -1.0, 1.0))
+        R = path.poses(np.minimum(trial, np.nextafter(end, begin)))[1]
+        angle = np.arccos(np.clip(0.5 * (np.einsum("nij,nij->n", R[1:], R[:-1]) - 1.0), -1.0, 1.0))
         finer = max(1, int(np.ceil(angle.max() / _COARSE_ROTATION_RAD)))
         found.append(np.linspace(begin, end, (len(trial) - 1) * finer + 1)[1:])
     return np.concatenate(found)
@@ -370,7 +370,7 @@ def _samples(path: CartesianPath) -> Array:
 def _solutions(geometry: Geometry, position: Array, rotation: Array, limits: Array, near: Array, seed: int) -> Array:
     """Find distinct solutions (b, N) [rad] within the limits at one pose."""
     (found,) = all_branches(geometry, position[None], rotation[None], limits, near, seed)
-    q, _ = turned_into(found[np.isfinite(found[:, 0])], limits, np.zeros(len(limits)))
+    q, _ = shifted_into(found[np.isfinite(found[:, 0])], limits, np.zeros(len(limits)))
     return np.asarray(q[np.all((q >= limits[:, 0]) & (q <= limits[:, 1]), axis=1)])
 
 

@@ -455,7 +455,7 @@ class Controller:
         self.values["timestamp"] = (clock_s,)
         if clock_s >= self._temperature_due_s:
             self._temperature_due_s = clock_s + _TEMPERATURE_EVERY_S
-            self.values["joint_temperatures"] = tuple(self.motions.joint_temperatures_c(self.name).tolist())
+            self.values["joint_temperatures"] = tuple(self.motions.joints_c(self.name).tolist())
         if moving and (self._stop_trigger.speed < math.inf or self._stop_trigger.travel < math.inf):
             travel = max(abs(a - b) for a, b in zip(self._q, self._move_from, strict=True))
             if max(map(abs, self._qd)) >= self._stop_trigger.speed or travel >= self._stop_trigger.travel:

@@ -45,8 +45,8 @@ def chain(rows: Rows, q: Sequence[float]) -> list[Frame]:
     for (theta, d, a, alpha), angle in zip(rows, q, strict=True):
         c, s, ca, sa = math.cos(angle + theta), math.sin(angle + theta), math.cos(alpha), math.sin(alpha)
         x, y, z, p = frame
-        turned, side = _mix(c, x, s, y), _mix(-s, x, c, y)
-        frame = Frame(turned, _mix(ca, side, sa, z), _mix(-sa, side, ca, z), _plus(p, _mix(d, z, a, turned)))
+        rotated, side = _mix(c, x, s, y), _mix(-s, x, c, y)
+        frame = Frame(rotated, _mix(ca, side, sa, z), _mix(-sa, side, ca, z), _plus(p, _mix(d, z, a, rotated)))
         frames.append(frame)
     return frames
 
@@ -54,10 +54,10 @@ def chain(rows: Rows, q: Sequence[float]) -> list[Frame]:
 def composed(one: Frame, other: Frame) -> Frame:
     """Return the product ``one * other``."""
 
-    def turned(v: Vector) -> Vector:
+    def rotated(v: Vector) -> Vector:
         return _plus(_mix(v[0], one.x, v[1], one.y), _mix(v[2], one.z, 0.0, one.z))
 
-    return Frame(turned(other.x), turned(other.y), turned(other.z), _plus(turned(other.p), one.p))
+    return Frame(rotated(other.x), rotated(other.y), rotated(other.z), _plus(rotated(other.p), one.p))
 
 
 def speed(frames: Sequence[Frame], qd: Sequence[float], point: Vector) -> tuple[float, ...]:

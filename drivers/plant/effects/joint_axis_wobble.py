@@ -93,7 +93,7 @@ def _shares(parameters: Parameters, key: str) -> Array:
 
 def with_waves(effect: Callable[..., PlantEffect], directions: int, **reads: Read) -> Factory:
     """Return the factory of an effect with ``waves`` of each joint: sums of ``harmonics`` with ``shares``, their phases
-    drawn by ``seed`` in ``directions`` directions."""
+    sampled by ``seed`` in ``directions`` directions."""
 
     def build(harmonics: Array, shares: Array, seed: int, **values: Any) -> PlantEffect:
         rng = np.random.default_rng(seed)

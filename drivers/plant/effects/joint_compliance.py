@@ -62,8 +62,8 @@ def _hardening(torque: Array, stiffness: Array, cubic: Array) -> Array:
     The angle is the only real root, by Cardano's formula in its hyperbolic form.
     """
     size = np.sqrt(stiffness / (3.0 * cubic))
-    turned = np.arcsinh(torque / (2.0 * cubic * size**3))
-    return np.asarray(2.0 * size * np.sinh(turned / 3.0))
+    asinh = np.arcsinh(torque / (2.0 * cubic * size**3))
+    return np.asarray(2.0 * size * np.sinh(asinh / 3.0))
 
 
 def _linear_or_with_knee(parameters: Parameters) -> PlantEffect:

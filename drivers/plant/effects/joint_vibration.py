@@ -49,15 +49,15 @@ class JointVibration(PlantEffect):
     def _modes(self, force: Array, rate: Array, start: Array, speed: Array, step_s: float) -> tuple[Array, Array]:
         """Return the amplitudes (n, N) of modes under forces (n, N) and their final speeds (N,), from amplitudes
         ``start`` and speeds (N,) one step before the first force."""
-        decay, turn = -self.damping * rate, rate * np.sqrt(1.0 - self.damping**2)
-        pole = decay + 1j * turn
+        decay, omega = -self.damping * rate, rate * np.sqrt(1.0 - self.damping**2)
+        pole = decay + 1j * omega
         quick = rate * step_s > _STIFF
         pole[quick] = -_STIFF / step_s  # not used
         ages = step_s * np.arange(1, len(force) + 1)[:, None]
-        state = speed - decay * start + 1j * turn * start
+        state = speed - decay * start + 1j * omega * start
         state = np.exp(pole * ages) * (state + np.cumsum(np.exp(-pole * ages) * force * step_s, axis=0))
-        amplitude = np.where(quick, force / rate**2, state.imag / turn)
-        late = np.where(quick, 0.0, (pole * state[-1]).imag / turn)
+        amplitude = np.where(quick, force / rate**2, state.imag / omega)
+        late = np.where(quick, 0.0, (pole * state[-1]).imag / omega)
         return amplitude, late
 
 

@@ -86,16 +86,14 @@ def _tip_twist(posture: Posture, link: int, bending: float, torsion: float) -> A
     total = carried[:, None] + own - (weight[:, None] + own_mass)[..., None] * places
     moment = np.cross(total, down)
     axial = (moment @ along)[..., None] * along
-    turns = ((moment - axial) / bending + axial / torsion) * (length / _SEGMENTS)
+    rotations = ((moment - axial) / bending + axial / torsion) * (length / _SEGMENTS)
 
-    motions = rigid(np.concatenate([np.zeros_like(turns), turns], axis=-1))[..., :3, :3]
-    tip, turn = np.zeros((len(pose), 3)), np.broadcast_to(np.eye(3), (len(pose), 3, 3))
+    motions = rigid(np.concatenate([np.zeros_like(rotations), rotations], axis=-1))[..., :3, :3]
+    tip, R = np.zeros((len(pose), 3)), np.broadcast_to(np.eye(3), (len(pose), 3, 3))
     for k in reversed(range(_SEGMENTS)):
         tip = places[k] + (motions[:, k] @ (tip - places[k])[..., None])[..., 0]
-        turn = motions[:, k] @ turn
-    vector = 0.5 * np.stack(
-        [turn[:, 2, 1] - turn[:, 1, 2], turn[:, 0, 2] - turn[:, 2, 0], turn[:, 1, 0] - turn[:, 0, 1]], axis=1
-    )
+        R = motions[:, k] @ R
+    vector = 0.5 * np.stack([R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]], axis=1)
     sine = np.linalg.norm(vector, axis=1, keepdims=True)
     return np.concatenate([tip, vector / np.sinc(np.arcsin(np.minimum(sine, 1.0)) / np.pi)], axis=1)
 

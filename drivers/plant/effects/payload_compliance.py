@@ -26,8 +26,8 @@ def _off_centre(posture: Posture, stiffness: Array, shift: Array) -> Deflection:
     The shift is given in the flange frame; its moment is that of the load's weight at the shifted centre.
     """
     aside = posture.load_mass[:, None] * (posture.flange[:, :3, :3] @ shift)
-    turned = np.cross(aside, posture.gravity)
-    more = np.einsum("jnk,nk->nj", posture.axes[0], turned)
+    rotated = np.cross(aside, posture.gravity)
+    more = np.einsum("jnk,nk->nj", posture.axes[0], rotated)
     return Deflection(joints=(posture.load_torques + more) / stiffness)
 
 

@@ -36,9 +36,9 @@ def _column(posture: Posture, height: float, stiffness: Array) -> Deflection:
     for part in range(_PARTS):
         below = np.array([0.0, 0.0, -height * (part + 0.5) / _PARTS])
         moment = np.cross(place - mass * below, posture.gravity)
-        turn = moment / (stiffness * _PARTS)
-        twist[:, :3] += np.cross(turn, -below)
-        twist[:, 3:] += turn
+        rotation = moment / (stiffness * _PARTS)
+        twist[:, :3] += np.cross(rotation, -below)
+        twist[:, 3:] += rotation
     return Deflection(base=twist)
 
 
@@ -47,7 +47,7 @@ def _beam(situation: Situation, bending: float, torsion: float, depth: float, li
 
     The component along the beam causes torsion, the rest bending. The base rotates about the beam's centre line,
     ``depth`` below it. Bolted joints whose gaps close under load yield less than proportionally to large moments: the
-    turn is divided by ``1 + |moment| / limit``, ``limit`` in Nm.
+    rotation is divided by ``1 + |moment| / limit``, ``limit`` in Nm.
     Sizes: 2e6 Nm/rad, that is 28 urad from a stretched UR5 (an estimate).
     """
     twist = np.zeros((len(situation.q), 6))
@@ -61,21 +61,21 @@ def _beam(situation: Situation, bending: float, torsion: float, depth: float, li
         moment = other.base_moment @ to_here[:3, :3].T
         moment = moment * (1.0 / (1.0 + np.linalg.norm(moment, axis=1, keepdims=True) / limit))
         twisting = (moment @ along)[:, None] * along
-        turn = twisting / torsion + (moment - twisting) / bending
-        twist[:, :3] += np.cross(turn, depth * up)
-        twist[:, 3:] += turn
+        rotation = twisting / torsion + (moment - twisting) / bending
+        twist[:, :3] += np.cross(rotation, depth * up)
+        twist[:, 3:] += rotation
     return Deflection(base=twist)
 
 
-def _frame_turns(posture: Posture, pivot: Array, compliance: Array) -> Deflection:
+def _frame_rotates(posture: Posture, pivot: Array, compliance: Array) -> Deflection:
     """A welded frame: a full symmetric compliance matrix, and a rotation about a pivot that is not below the base.
 
-    The moment of the arm's weight about the ``pivot`` rotates everything above it: ``turn = compliance moment``.
+    The moment of the arm's weight about the ``pivot`` rotates everything above it: ``rotation = compliance moment``.
     Off-diagonal entries turn the base about one axis under a moment about another.
     """
     place = posture.first_moments.sum(axis=0) - posture.masses_beyond[0][:, None] * pivot
-    turn = np.cross(place, posture.gravity) @ compliance
-    return Deflection(base=np.concatenate([np.cross(turn, -pivot), turn], axis=1))
+    rotation = np.cross(place, posture.gravity) @ compliance
+    return Deflection(base=np.concatenate([np.cross(rotation, -pivot), rotation], axis=1))
 
 
 def _frame(parameters: Parameters) -> PlantEffect:
@@ -85,7 +85,7 @@ def _frame(parameters: Parameters) -> PlantEffect:
     compliance += np.array([[0.0, xy, xz], [xy, 0.0, yz], [xz, yz, 0.0]])
     if np.linalg.eigvalsh(compliance)[0] < 0.0:
         raise parameters.error("cross", "must be smaller: under some moment the frame would turn against it")
-    return Bend(_frame_turns, {"pivot": parameters.numbers("pivot", 3), "compliance": compliance})
+    return Bend(_frame_rotates, {"pivot": parameters.numbers("pivot", 3), "compliance": compliance})
 
 
 pedestal_compliance = by_law(

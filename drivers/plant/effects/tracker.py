@@ -50,8 +50,8 @@ class Circle:
         """Return the reading at a true angle (n,)."""
         for cycles, amplitude, phase in self.higher:
             angle = angle + amplitude * np.sin(cycles * angle + phase)
-        turned = angle + self.eccentric_phase
-        read = angle + np.arctan2(self.eccentric * np.sin(turned), 1.0 - self.eccentric * np.cos(turned))
+        rotated = angle + self.eccentric_phase
+        read = angle + np.arctan2(self.eccentric * np.sin(rotated), 1.0 - self.eccentric * np.cos(rotated))
         return read + cardan(angle + self.slant_phase, np.array(self.slant))
 
 

@@ -60,9 +60,9 @@ def _error_curve(situation: Situation, joints: np.ndarray, curves: Array) -> Def
     offsets = np.zeros_like(situation.q)
     knots = curves.shape[1]
     for row, joint in zip(curves, joints, strict=True):
-        turn = (situation.q[:, joint] / (2.0 * np.pi)) % 1.0 * knots
-        first = np.floor(turn).astype(int)
-        f = turn - first
+        place = (situation.q[:, joint] / (2.0 * np.pi)) % 1.0 * knots
+        first = np.floor(place).astype(int)
+        f = place - first
         before, left, right, after = (row[(first + k) % knots] for k in (-1, 0, 1, 2))
         # Catmull-Rom spline through the knots
         square = 2.0 * before - 5.0 * left + 4.0 * right - after

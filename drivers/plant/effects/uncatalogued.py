@@ -61,8 +61,8 @@ def _sag(situation: Situation, shift: Array) -> Deflection:
 
 def _draught(p_M: Array, normal_M: Array, situation: Situation, angle: float, period: float, phase: float) -> Array:
     """Warm air crosses the beam and deflects it horizontally by an angle that is periodic in time."""
-    turn = angle * np.sin(2.0 * np.pi * situation.time_s / period + phase)
-    cosine, sine = np.cos(turn), np.sin(turn)
+    rotation = angle * np.sin(2.0 * np.pi * situation.time_s / period + phase)
+    cosine, sine = np.cos(rotation), np.sin(rotation)
     x, y, z = p_M.T
     return np.stack([cosine * x - sine * y, sine * x + cosine * y, z], axis=1)
 

@@ -6,6 +6,7 @@ import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +40,7 @@ from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import CellModel
 from drivers.trackers.simulated import SimulatedTracker
 from tests.twin import PROFILES, plant_of, small_twin
-from tests.verbs import collect_stops, locate_run, push_run, report_run
+from tests.verbs import Opened, collect_stops, locate_run, opened_by, push_run, report_run
 
 
 @dataclass
@@ -68,12 +69,13 @@ def task(finished_run: Path) -> CheckTask:
         return CheckTask(run.profile, model, stops, excess_of_readings(run, model))
 
 
-def driven(task: CheckTask, test: Fed, **options: Any) -> DrivenCheck:
-    return drive_check(task, test, **{"control": JobControl(), **options})
+def driven(task: CheckTask, test: Fed, open_with: Opened = open_cell, **options: Any) -> DrivenCheck:
+    with opened_by(open_with):
+        return drive_check(task, test, **{"control": JobControl(), **options})
 
 
 @contextmanager
-def refusing(profile: Profile, *, together: bool, alone: Sequence[str] = ()) -> Iterator[Cell]:
+def refusing(profile: Profile, *, together: bool, alone: Sequence[str] = (), **_: Any) -> Iterator[Cell]:
     """A cell whose gate refuses that both arms leave home together, and some arms to leave it at all."""
     homes = home_positions(profile)
 
@@ -104,7 +106,7 @@ def test_it_ends_when_the_test_is_sure(task: CheckTask) -> None:
 
 def test_where_the_gate_refuses_both_each_arm_goes_alone(task: CheckTask) -> None:
     test = Fed(sure_after=4)
-    found = driven(task, test, open_with=lambda profile: refusing(profile, together=True))
+    found = driven(task, test, open_with=partial(refusing, together=True))
     assert [list(stop) for stop in test.stops] == [["left"], ["right"]] * 2
     assert [stop.number for stop in found.stops] == [0, 0, 1, 1]
     numbers = [next(iter(stop.values())).configuration[0] for stop in test.stops]
@@ -116,11 +118,11 @@ def test_where_the_gate_refuses_both_each_arm_goes_alone(task: CheckTask) -> Non
 
 def test_an_arm_that_cannot_go_anywhere_is_noted(task: CheckTask) -> None:
     test = Fed()
-    found = driven(task, test, open_with=lambda profile: refusing(profile, together=True, alone=["left"]))
+    found = driven(task, test, open_with=partial(refusing, together=True, alone=["left"]))
     assert [list(stop) for stop in test.stops] == [["right"]] * len(task.stops)
     assert found.notes[0].startswith("stop 1, arm left: refused to move: too near")
     with pytest.raises(HardwareError, match="no SMR could be measured at any stop"):
-        driven(task, Fed(), open_with=lambda profile: refusing(profile, together=True, alone=["left", "right"]))
+        driven(task, Fed(), open_with=partial(refusing, together=True, alone=["left", "right"]))
 
 
 def test_a_lost_smr_is_given_up_after_some_stops_and_the_other_arm_goes_on(task: CheckTask) -> None:

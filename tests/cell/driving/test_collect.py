@@ -84,13 +84,13 @@ class Watched:
         @contextmanager
         def opened(profile: Profile, **options: Any) -> Iterator[Cell]:
             plant = build_plant(profile, watch_clearance=True) if self.observes else None
-            with open_cell(profile, **{"plant": plant, **options}) as cell:
+            with open_cell(profile, **{**options, "plant": plant or options["plant"]}) as cell:
                 self.cell = cell
                 yield cell
 
         monkeypatch.setattr("drivers.arms.simulated.SimulatedArm", Arm)
         monkeypatch.setattr("drivers.trackers.simulated.SimulatedTracker", Tracker)
-        monkeypatch.setattr("cellapp.cell.driving.supervision.open_cell", opened)
+        monkeypatch.setattr("cellapp.cell.driving.collect.open_cell", opened)
 
     def note(self, who: str, what: str) -> None:
         self.calls.append((who, what))

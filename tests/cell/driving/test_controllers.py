@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from cellapp import __version__
-from cellapp.cell.driving.cell import Cell, arm_context, open_cell
+from cellapp.cell.driving.cell import Cell, open_cell
 from cellapp.cell.driving.cell_checks import check_controllers
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
@@ -26,8 +26,6 @@ from cellapp.robot.kinematics.chain import nominal_geometry, plain_geometry
 from cellapp.robot.model.nominal import published_rows
 from drivers.arms.protocol import ArmIdentity, LinkLost
 from drivers.arms.simulated import SimulatedArm
-from drivers.arms.ur import UrArm
-from drivers.arms.ur_settings import UrSettings
 from tests.interfaces.plugins.installed import add_example, add_toys, installed, run_commands
 from tests.interfaces.plugins.line_controller import LineController, line_controllers
 from tests.twin import small_twin, with_arm, write_profile
@@ -122,21 +120,6 @@ def real() -> Profile:
     return load_profile(PROFILES / "ur10-ur5.yaml")
 
 
-def test_a_profiles_ur_arm_is_opened_with_what_the_profile_says(real: Profile) -> None:
-    arm = real.arms["left"]
-    assert isinstance(arm.driver, UrSettings)
-    opened = arm.driver.open(arm_context("left", arm))
-    assert isinstance(opened, UrArm)
-    assert opened.name == "left"
-    expected = arm.driver.expectation(arm_context("left", arm))
-    assert (expected.model, expected.serial) == ("UR10", None)
-    assert expected.payload_kg == pytest.approx(0.35)
-    np.testing.assert_allclose(expected.limits.position[1], np.radians([-170.0, -10.0]))
-    np.testing.assert_allclose(expected.limits.speed[:2], np.radians([30.0, 30.0]))
-    np.testing.assert_allclose(expected.payload_center_m, [0.015, 0.007, 0.030])
-    assert expected.tcp is None
-
-
 def test_an_arm_of_seven_joints_is_no_ur(real: Profile) -> None:
     arm = real.arms["left"]
     seven = arm.model_copy(
@@ -149,7 +132,7 @@ def test_an_arm_of_seven_joints_is_no_ur(real: Profile) -> None:
 
 def test_a_damaged_record_is_named(run: RunFile, cell: Cell) -> None:
     run.write_result(CONTROLLERS_RESULT, '{"left": {"model": 1}}')
-    with pytest.raises(InputError, match="the record of its controllers is damaged"):
+    with pytest.raises(InputError, match=r"the document .controllers. is damaged; start a new run"):
         check_controllers(run, cell)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,6 @@ import pytest
 from pydantic import ValidationError
 
 from cellapp.cell.driving.cell import Cell, open_cell
-from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.planning.planned_stops import read_planned_stops
 from cellapp.cell.planning.sweeps import SWEEPS_RESULT, PlannedSweep, PlannedSweeps, Swing, read_sweeps, refuse_sweep
 from cellapp.cell.run import RunFile
@@ -36,11 +35,11 @@ from drivers.trackers.protocol import StreamLimits
 from drivers.trackers.simulated import SimulatedTracker
 from tests.crossed_beam import crossed_beam
 from tests.twin import plant_of, small_twin
+from tests.verbs import Opened, collect_by
 
 CLOCK = Imperfections(clock_offset_s=321.0, clock_rate=20e-6, packet_jitter_s=0.04)
 PERIOD_S = 4.0
 RATE_HZ = 100.0
-Opened = Callable[..., AbstractContextManager[Cell]]
 
 
 @pytest.fixture(scope="module")
@@ -115,7 +114,7 @@ def names(run: RunFile) -> set[tuple[str, str]]:
 def test_sweeps_are_driven_and_recorded_with_both_clocks(planned: Path, tmp_path: Path) -> None:
     heard: list[Progress] = []
     with copied(planned, tmp_path) as run:
-        assert collect_run(run, JobControl(heard.append), opened=driven_cell()).outcome == "complete"
+        assert collect_by(driven_cell(), run, JobControl(heard.append)).outcome == "complete"
         sweeps = read_sweeps(run)
         assert len(sweeps) >= 2
         assert names(run) == {(one.arm, one.name) for one in sweeps}
@@ -142,7 +141,7 @@ def test_sweeps_are_driven_and_recorded_with_both_clocks(planned: Path, tmp_path
         start = track_of(recording, nominal, tool_unknown=False, seed=1).start
         assert start.offset_s == pytest.approx(321.0, abs=3e-3)
         states = recording_states(run)
-        assert collect_run(run, resume=True, opened=driven_cell()).outcome == "complete"
+        assert collect_by(driven_cell(), run, resume=True).outcome == "complete"
         assert recording_states(run) == states
 
 
@@ -153,7 +152,7 @@ def test_a_lost_beam_slows_the_arm_down_and_the_rest_is_a_recording_of_its_own(
     crossed = crossed_beam(monkeypatch, cells, "left", 2.0)
     heard: list[Progress] = []
     with copied(planned, tmp_path) as run:
-        collect_run(run, JobControl(heard.append), opened=driven_cell(CLOCK, cells.append))
+        collect_by(driven_cell(CLOCK, cells.append), run, JobControl(heard.append))
         assert len(crossed) == 1
         told = sweeps_in(heard, "left")
         searching = next(place for place, one in enumerate(told) if one.state == "searching")
@@ -189,7 +188,7 @@ def test_a_beam_that_stays_lost_ends_the_recording_and_the_arm_comes_back(planne
 
     heard: list[Progress] = []
     with copied(planned, tmp_path) as run:
-        collect_run(run, JobControl(heard.append), opened=driven_cell(CLOCK, prepare))
+        collect_by(driven_cell(CLOCK, prepare), run, JobControl(heard.append))
         told = sweeps_in(heard, "left")
         states = list(dict.fromkeys(one.state for one in told))
         assert states == ["moving", "searching", "unrecorded", "done"]
@@ -219,10 +218,10 @@ def test_a_fault_in_a_sweep_stops_all_and_resuming_records_what_is_missing(plann
 
     with copied(planned, tmp_path) as run:
         with pytest.raises(HardwareError, match="protective stop"):
-            collect_run(run, opened=driven_cell(CLOCK, prepare))
+            collect_by(driven_cell(CLOCK, prepare), run)
         before = names(run)
         assert "right" not in {arm for arm, _ in before}
-        collect_run(run, opened=driven_cell(), resume=True)
+        collect_by(driven_cell(), run, resume=True)
         assert before < names(run) == {(one.arm, one.name) for one in read_sweeps(run)}
 
 
@@ -233,7 +232,7 @@ def plan_of(run: RunFile) -> tuple[PlannedSweep, dict[str, np.ndarray]]:
 
 def test_both_arms_are_driven_at_once_and_the_joints_of_both_recorded(swinging: Path, tmp_path: Path) -> None:
     with copied(swinging, tmp_path) as run:
-        assert collect_run(run, opened=driven_cell()).outcome == "complete"
+        assert collect_by(driven_cell(), run).outcome == "complete"
         sweep, at = plan_of(run)
         (state,) = recording_states(run)
         columns, _ = read_stream(run, state, "joints")
@@ -263,7 +262,7 @@ def test_an_arm_that_falls_behind_the_other_stops_both(swinging: Path, tmp_path:
 
     with copied(swinging, tmp_path) as run:
         with pytest.raises(HardwareError, match="apart from where both should be; one of them was late"):
-            collect_run(run, opened=driven_cell(CLOCK, prepare))
+            collect_by(driven_cell(CLOCK, prepare), run)
         assert recording_states(run) == ()
 
 
@@ -276,7 +275,7 @@ def test_a_cell_that_cannot_record_says_why(
     with copied(planned, tmp_path) as run:
         collection = run.profile.collection.model_copy(update={"motion_rate": rate})
         monkeypatch.setattr(run, "profile", run.profile.model_copy(update={"collection": collection}))
-        collect_run(run, opened=driven_cell())
+        collect_by(driven_cell(), run)
         assert recording_states(run) == ()
         assert any(re.search(f"sweeps are left out: .*{words}", event.text) for event in run.events())
 

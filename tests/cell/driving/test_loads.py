@@ -26,6 +26,7 @@ from cellapp.ground.profile.sections import Collection, Reference
 from drivers.arms.protocol import ArmState
 from drivers.arms.simulated import SimulatedArm
 from tests.twin import small_twin, with_arm
+from tests.verbs import collect_by
 
 STOPS = 6
 HEAVY = Payload(mass=5.0, center_of_mass=(0.0, 0.0, 0.06))
@@ -105,19 +106,19 @@ def test_nothing_moves_before_a_person_has_hung_the_load(run: RunFile, monkeypat
             yield cell
 
     with pytest.raises(Stopped, match=r"hang 5 kg.*--resume --payload left=5"):
-        collect_run(run, opened=watched, hung=answers(asked, hangs=False))
+        collect_by(watched, run, hung=answers(asked, hangs=False))
     assert opened == [run.profile.arms["left"].payload.mass]
     assert run.stops_done() == {0, 1, 2}
     assert len(asked) == 1
     assert "at (0, 0, 60) mm in the flange frame" in asked[0]
     with pytest.raises(InputError, match="said to carry 3 kg, the next stops need 5 kg"):
-        collect_run(run, resume=True, opened=watched, payload={"left": 3.0})
+        collect_by(watched, run, resume=True, payload={"left": 3.0})
     with pytest.raises(InputError, match="no arm 'middle'"):
-        collect_run(run, resume=True, opened=watched, payload={"middle": 3.0})
+        collect_by(watched, run, resume=True, payload={"middle": 3.0})
     with pytest.raises(InputError, match="arm left gets another load too"):
-        collect_run(run, resume=True, opened=watched, payload={"right": run.profile.arms["right"].payload.mass})
+        collect_by(watched, run, resume=True, payload={"right": run.profile.arms["right"].payload.mass})
     assert len(opened) == 1
-    collect_run(run, resume=True, opened=watched, payload={"left": 5.0})
+    collect_by(watched, run, resume=True, payload={"left": 5.0})
     assert opened[1:] == [5.0]
     assert len(run.stops_done()) == STOPS
 
@@ -142,7 +143,7 @@ def test_a_controller_that_reports_another_payload_is_not_driven(run: RunFile, m
             yield cell
 
     with pytest.raises(HardwareError, match=r"arm left: not moved with 5 kg: .* set to 0.300 kg"):
-        collect_run(run, opened=forgetful)
+        collect_by(forgetful, run)
     assert heavy == [5.0]
     assert moved == []
     assert run.stops_done() == {0, 1, 2}

@@ -30,6 +30,7 @@ from drivers.arms.simulated import SimulatedArm
 from drivers.clock import RealClock
 from tests.cell.planning.planned_cells import drivable_stops
 from tests.twin import small_twin
+from tests.verbs import collect_by
 
 STOPS = 5
 STEP = np.array([0.04, -0.03, 0.02, -0.02, 0.03, 0.05])
@@ -79,7 +80,7 @@ class Driven:
 
     def collect(self, **options: Any) -> tuple[str, ...]:
         with self.control.heard_by(lambda event, _: self.hear(event)):
-            return collect_run(self.run, self.control, opened=self.opened, **options).notes
+            return collect_by(self.opened, self.run, self.control, **options).notes
 
     def places(self, name: str, *qs: np.ndarray) -> list[int]:
         """Where goals of an arm stand among all of its goals; -1 for one to which it never went."""
@@ -149,7 +150,7 @@ def test_the_side_holds_after_a_stop_on_the_way_and_a_resume(driven: Driven, pla
 
     driven.control = JobControl(stop_in_the_midst)
     with pytest.raises(Stopped):
-        collect_run(driven.run, driven.control, opened=driven.opened)
+        collect_by(driven.opened, driven.run, driven.control)
     driven.control = JobControl()
     driven.collect(resume=True)
     arrived_by_the_planned_step(driven.run)

@@ -18,7 +18,7 @@ from cellapp.cell.driving.records import CollectResult
 from cellapp.cell.planning.plan import plan_stops
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.measured_again import earlier_readings, missing_share, reference_drifts
-from cellapp.estimation.readings import Reading
+from cellapp.estimation.readings import Readings
 from cellapp.ground.control import JobControl, Request, Stopped
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
@@ -29,6 +29,7 @@ from drivers.arms.simulated import SimulatedArm
 from drivers.trackers.protocol import TrackerLinkLost
 from drivers.trackers.simulated import SimulatedTracker
 from tests.twin import plant_of, small_twin
+from tests.verbs import collect_by
 
 STOPS, RESERVE = 8, 3
 Act = Callable[["Bench"], None]
@@ -84,7 +85,7 @@ class Bench:
 
     def collect(self, **options: Any) -> CollectResult:
         with self.control.heard_by(lambda event, _: self.heard.append(event)):
-            return collect_run(self.run, self.control, opened=self.opened, **options)
+            return collect_by(self.opened, self.run, self.control, **options)
 
     @property
     def tracker(self) -> SimulatedTracker:
@@ -133,12 +134,12 @@ def test_stops_are_measured_again_as_planned_and_nothing_else_is_visited(bench: 
     assert (result.replaced, result.outcome) == (4, "complete")
     assert bench.measured == measured + 4
     for name, old in before.items():
-        new, earlier = bench.run.readings(name), earlier_readings(bench.run, name)
+        new, (earlier, _) = bench.run.readings(name), earlier_readings(bench.run, name)
         again = np.isin(new.configuration, [2, 5])
         np.testing.assert_array_equal(new.p_M[~again], old.p_M[~again])
         np.testing.assert_allclose(new.p_M[again] - old.p_M[again], [bench.shift_M] * 2, atol=3e-4)
         np.testing.assert_allclose(new.q[again], old.q[again], atol=1e-4)
-        np.testing.assert_array_equal(earlier.readings.p_M, old.p_M[again])
+        np.testing.assert_array_equal(earlier.p_M, old.p_M[again])
         assert new.time_s[again].min() > old.time_s.max()
     assert [one.again for one in bench.run.sessions()] == ["", "3, 6"]
 
@@ -248,8 +249,8 @@ def test_suspensions_are_bounded_and_reserves_take_the_place(bench: Bench) -> No
     assert [event.done for event in bench.heard if event.total][-1] == STOPS + 2
     assert bench.collect(again=[2, 3]).missing == (), "what was covered is seen now"
     assert bench.run.stops_done() == set(range(STOPS + 2)), "no further reserve"
-    assert earlier_readings(bench.run, "left").replaced == ()
-    assert earlier_readings(bench.run, "right").readings.configuration.tolist() == [2, 3]
+    assert earlier_readings(bench.run, "left")[1] == ()
+    assert earlier_readings(bench.run, "right")[0].configuration.tolist() == [2, 3]
 
 
 def test_a_stalled_computer_resumes_only_where_the_profile_allows_it(bench: Bench) -> None:
@@ -334,7 +335,7 @@ def test_a_full_disk_holds_the_reading_until_a_person_freed_it(bench: Bench, mon
     add_stop = RunFile.add_stop
     full = [True]
 
-    def refused(self: RunFile, stop: int, rows: dict[str, Reading], *others: Any) -> None:
+    def refused(self: RunFile, stop: int, rows: dict[str, Readings], *others: Any) -> None:
         if stop == 3 and full[0]:
             raise InputError("run.sqlite: database or disk is full")
         add_stop(self, stop, rows, *others)
@@ -517,7 +518,7 @@ def test_arms_that_are_not_at_home_are_confirmed_to_go_there_before_a_reference(
         return False
 
     with pytest.raises(InputError, match="not confirmed"):
-        collect_run(bench.run, control=bench.control, confirm=confirm, opened=away)
+        collect_by(away, bench.run, control=bench.control, confirm=confirm)
     for name, home in homes.items():
         np.testing.assert_array_equal(shown[0][name], home)
 

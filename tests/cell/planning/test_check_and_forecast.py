@@ -16,7 +16,7 @@ from cellapp.cell.planning.candidates import CandidatePool, sample_pool
 from cellapp.cell.planning.designed_plan import select_stops
 from cellapp.cell.planning.information import InformationModel, information_model, sampled_conditions
 from cellapp.cell.planning.planned_stops import planned_time, read_planned_stops
-from cellapp.cell.planning.records import PlanCheckResult, PlanForecastResult
+from cellapp.cell.planning.records import PlanForecastResult
 from cellapp.cell.planning.sweeps import SweepDesign
 from cellapp.cell.planning.view import check_plan_run, forecast_run
 from cellapp.cell.profile import load_profile
@@ -26,7 +26,7 @@ from cellapp.commands.plan.check_view import check_sentences, forecast_sentences
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import Cancelled, JobToken, Progress
+from cellapp.ground.progress import Cancelled, JobToken
 from cellapp.robot.paths.joint_path import Sweep
 from tests.twin import PROFILES, small_twin, with_arms
 
@@ -49,18 +49,6 @@ def forecast(planned: Path) -> PlanForecastResult:
 
 def with_plan(folder: Path, profile: Profile, **q: np.ndarray) -> RunFile:
     return RunFile.create(folder, profile, lambda run: run.write_plan(q))
-
-
-def test_a_plan_that_was_just_made_is_safe(planned: Path) -> None:
-    heard: list[Progress] = []
-    with RunFile.open(planned) as run:
-        result = check_plan_run(run, JobToken(heard.append))
-    assert (result.stops, result.ways) == (STOPS + 2, STOPS + 3)
-    assert [one for one in result.refused if one.configuration is not None or not one.is_avoided] == []
-    assert result.is_safe, "home may be reached one arm after the other"
-    assert check_sentences(result)[0].startswith("Safe: 26 stops and 27 ways")
-    assert heard[-1].done == heard[-1].total == STOPS + 2
-    assert PlanCheckResult.from_json(result.to_json(), "check") == result
 
 
 def test_every_refused_stop_and_way_is_named(planned: Path, tmp_path: Path) -> None:

@@ -9,17 +9,13 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
-from hypothesis import strategies as st
-from hypothesis.extra import numpy as hnp
-from scipy.optimize import lsq_linear
 
 from cellapp.cell.planning.balance import correlations, travel_time
 from cellapp.cell.planning.plan import sample_stops
 from cellapp.cell.planning.planned_stops import PlannedStops, route_s
 from cellapp.cell.planning.sequence import Sequenced, nearest_turns, sequenced
 from cellapp.cell.planning.transit_paths import TransitPath, TransitPlanner
-from cellapp.cell.safety.bodies import place, segment_distance
+from cellapp.cell.safety.bodies import place
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies, refuse_motion
 from cellapp.ground.errors import InputError
@@ -80,15 +76,6 @@ def test_tight_cells_are_planned_with_detours_or_sentences(plane: dict[str, floa
     assert all("cannot be reached" in one or "no way" in one for one in found.given_up)
 
 
-def test_factors_of_a_hundred_stops_correlate_little() -> None:
-    profile, stops = large()
-    found = correlations(profile, cell_bodies(profile), stops)
-    worst = max(found, key=lambda one: abs(one.correlation))
-    assert abs(worst.correlation) <= 0.2, worst  # of random signs it would be some 0.3
-    assert {one.arm for one in found} == {"all", "left", "right"}
-    assert {"time", "dwell"} <= {one.factor for one in found}
-
-
 def test_the_order_saves_travel() -> None:
     profile, stops = large()
     rng = np.random.default_rng(0)
@@ -120,23 +107,6 @@ def test_repeats_come_from_the_other_side_much_later() -> None:
         np.testing.assert_array_equal(q[copies], q[first])
         step = q - stops.approach_from[name]
         np.testing.assert_allclose(step[copies], -step[first], atol=1e-12)
-
-
-def test_last_motions_are_steps_of_the_profile_inside_the_limits() -> None:
-    profile, stops = large()
-    cell = cell_bodies(profile)
-    for name, q in stops.q.items():
-        start = stops.approach_from[name]
-        low, high = cell.arms[name].limits.T
-        rows = np.isfinite(start).all(axis=1)
-        assert rows.mean() > 0.95
-        assert np.all((start[rows] >= low) & (start[rows] <= high))
-        sizes = np.abs(q - start)[rows]
-        assert np.all(np.isclose(sizes[..., None], profile.plan.steps).any(axis=-1) | np.isclose(sizes, 0.0))
-        assert np.all(np.isin(stops.dwell_s[name], profile.plan.dwell))
-        assert abs(np.mean(np.sign(q - start)[rows])) < 0.15
-    np.testing.assert_array_equal(stops.dwell_s["left"], stops.dwell_s["right"])
-    assert 0.4 < np.mean(stops.dwell_s["left"] == 2.0) < 0.6
 
 
 def test_joints_near_a_limit_come_from_inside() -> None:
@@ -193,27 +163,6 @@ def test_planning_can_be_cancelled() -> None:
 
 
 # -- Distances between segments: known cases, and every case against a search over both segments -----------------------
-
-
-def searched(a0: np.ndarray, a1: np.ndarray, b0: np.ndarray, b1: np.ndarray) -> float:
-    """The distance as a bounded least-squares problem over both shares."""
-    A = np.column_stack([a1 - a0, b0 - b1])
-    found = lsq_linear(A, b0 - a0, bounds=(0.0, 1.0), method="bvls", tol=1e-14)
-    return float(np.sqrt(2.0 * found.cost))
-
-
-POINTS = hnp.arrays(np.float64, (4, 3), elements=st.integers(-4, 4).map(lambda k: 0.25 * k))
-
-
-@settings(max_examples=300, deadline=None)
-@given(points=POINTS, turned=st.floats(-1e-6, 1e-6))
-@example(points=np.zeros((4, 3)), turned=0.0)
-@example(points=np.array([[0, 0, 0], [1, 0, 0], [0.5, 0, 0], [1.5, 0, 0]]), turned=1e-7)
-def test_against_a_search(points: np.ndarray, turned: float) -> None:
-    # a coarse lattice gives points, parallel and touching segments; the turn makes them nearly so
-    a0, a1, b0, b1 = points
-    b1 = b1 + turned * np.array([0.3, -0.7, 0.2])
-    assert float(segment_distance(a0, a1, b0, b1)) == pytest.approx(searched(a0, a1, b0, b1), abs=2e-6)
 
 
 # -- Ways round what blocks the straight one: the gate accepts every leg; what cannot be reached has a reason ----------

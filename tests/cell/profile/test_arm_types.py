@@ -11,7 +11,7 @@ import pytest
 from cellapp.cell.profile import load_profile
 from cellapp.cell.profile.files import write_text
 from cellapp.cell.profile.loader import arm_type_of_text, profile_from_json, profile_to_json
-from cellapp.cell.profile.starters import arm_type_files, write_starter
+from cellapp.cell.profile.starters import arm_type_files
 from cellapp.commands.doctor.view import cell_words, constraint_words
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile.schema import ArmType
@@ -205,11 +205,6 @@ def test_an_installation_without_them_is_named(tmp_path: Path, monkeypatch: pyte
     monkeypatch.setattr("cellapp.ground.starters.files", lambda package: tmp_path / package)
     with pytest.raises(InputError, match="lacks its starter profiles; install it again"):
         starters_folder()
-
-
-def test_an_unknown_starter_is_refused_with_those_that_exist(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="'tvin' is no profile that comes with cellapp; there are twin,"):
-        write_starter("tvin", tmp_path)
 
 
 def test_a_link_stays_a_link_and_permissions_stay(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.profile.files import controller_file_text, controller_table
 from cellapp.cell.programs.records import CorrectedTarget, ReadProgram
 from cellapp.cell.programs.script_targets import read_script, read_urp
-from cellapp.cell.programs.solving import Workplace, controller_chain, flange_of, rewritten, solve_targets, true_flange
+from cellapp.cell.programs.solving import Workplace, controller_chain, flange_of, rewritten, solve_targets
 from cellapp.cell.programs.urscript import pose_matrix, pose_numbers
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.run_arms import recorded_controllers
@@ -32,7 +32,7 @@ from cellapp.commands.view.table import Table
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile.schema import FactoryErrors
 from cellapp.ground.profile.sections import ControllerTable
-from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
+from cellapp.robot.effects import EffectTerm
 from cellapp.robot.kinematics.statics import Bodies
 from cellapp.robot.model import ArmModel
 from cellapp.robot.model.nominal import controller_rows, published_rows
@@ -306,15 +306,6 @@ TCP_OF_SOLVING = (0.02, -0.03, 0.15, 0.1, 0.2, 0.3)
 LIMITS = np.tile([-2.0 * np.pi, 2.0 * np.pi], (6, 1))
 
 
-def term(slug: str, **values: float) -> EffectTerm:
-    size = np.array(list(values.values()))
-    return EffectTerm(slug, tuple(values), size, np.zeros(len(size)), ("",) * len(size), EFFECTS[slug].law())
-
-
-COMPLIANCE = term("joint_compliance", compliance2=1.0 / 6e4, compliance3=1.0 / 3e4, compliance5=1.0 / 1e4)
-ECCENTRICITY = term("encoder_eccentricity", cos1q1=8e-5, sin1q1=-5e-5, sin1q4=2e-4)
-
-
 def arm_model(seed: int | None = 1, *effects: EffectTerm, network: Any = None) -> ArmModel:
     nominal = at_station(UR10, OFF_AXIS)
     true = nominal if seed is None else true_geometry(nominal, np.random.default_rng(seed))
@@ -344,58 +335,12 @@ def joints(result: CorrectedTarget) -> ArrayOfSolving:
     return np.array(result.q_new)
 
 
-class Waves:
-    """A correction in the base frame that varies with the joints, as a residual network's does."""
-
-    def __init__(self, rotation: Waves | None = None) -> None:
-        self.rotation = rotation
-
-    def correct(self, q: ArrayOfSolving) -> ArrayOfSolving:
-        return 3e-4 * np.sin(q[:, :3])
-
-
-MODELS = [arm_model(), arm_model(2, COMPLIANCE, ECCENTRICITY), arm_model(3, COMPLIANCE, network=Waves(Waves()))]
-
-
-@pytest.mark.parametrize("arm", MODELS)
-def test_the_model_puts_the_flange_where_the_program_means(arm: ArmModel) -> None:
-    q = HOME + np.random.default_rng(0).uniform(-0.5, 0.5, (20, 6))
-    results = solved("\n".join(f"movel({pose_text(one)})\nmovej({one.tolist()})" for one in q), place(arm))
-    assert not any(one.reason for one in results)
-    sent = np.array([one.q_new for one in results])
-    wanted = arm.nominal.T_M_B() @ flange_of(controller_chain(arm), np.repeat(q, 2, axis=0))
-    np.testing.assert_allclose(true_flange(arm, sent, MeasurementConditions()), wanted, rtol=0.0, atol=5e-9)
-    np.testing.assert_allclose(arm.orientation(sent), wanted[:, :3, :3], rtol=0.0, atol=5e-9)
-    np.testing.assert_allclose(arm.predict(sent), (wanted @ [*arm.geometry.tool, 1.0])[:, :3], rtol=0.0, atol=2e-8)
-    for pose, same in zip(results[::2], results[1::2], strict=True):
-        np.testing.assert_allclose(joints(pose), joints(same), atol=1e-7)
-        told = pose_numbers(flange_of(controller_chain(arm), np.array([pose.q_new]))[0] @ pose_matrix(TCP_OF_SOLVING))
-        np.testing.assert_allclose(pose_matrix(pose.new or ()), pose_matrix(told), atol=1e-9)
-
-
 def test_an_arm_without_errors_leaves_the_program_byte_for_byte() -> None:
     source = f"movej({HOME.tolist()})\nmovel({pose_text(HOME + 0.1)}, v = .1)\n"
     program = read_script(source.encode(), "a", TCP_OF_SOLVING)
     results = solve_targets(place(arm_model(None)), program.targets)
     assert [one.correction_mm for one in results] == pytest.approx([0.0, 0.0], abs=1e-6)
     assert rewritten(program.text, program.targets, results) == source
-
-
-def test_the_branch_is_the_one_the_controller_takes() -> None:
-    other = np.array([0.3, -0.35, -1.6, 0.1, -1.2, 0.4 + np.pi])
-    arm, wide = arm_model(), {"measured": np.array([HOME - 4.0, HOME + 4.0])}
-    source = f"movel({pose_text(HOME)})"
-    (near_home,) = solved(source, place(arm, **wide))
-    assert near_home.nearest_to == "home"
-    np.testing.assert_allclose(joints(near_home), HOME, atol=0.02)
-    rotated = HOME + np.array([0, 0, 0, 0, 0, -2.0 * np.pi])
-    first, second = solved(f"movej({rotated.tolist()})\n{source}", place(arm, **wide))
-    assert second.nearest_to == "line 1"
-    np.testing.assert_allclose(joints(second), rotated, atol=0.02)
-    (asked,) = solved(f"movej(get_inverse_kin({pose_text(other)}, qnear={other.tolist()}))", place(arm, **wide))
-    assert asked.nearest_to == "qnear"
-    np.testing.assert_allclose(joints(asked), other, atol=0.02)
-    assert first.nearest_to == ""
 
 
 @pytest.mark.parametrize(

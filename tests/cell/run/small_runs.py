@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from cellapp.cell.run import RunFile, SessionEnd
 from cellapp.cell.run.csv_import import arms_of_table, readings_from_csv
 from cellapp.cell.run.csv_text import read_csv_table
-from cellapp.estimation.readings import Reading, Readings
+from cellapp.estimation.readings import Readings
 from cellapp.estimation.readings.columns import COLUMNS
 from cellapp.ground.profile import Profile
 from tests.arms import Array
@@ -89,7 +89,7 @@ def add_stop(run: RunFile, stop: int) -> None:
     run.add_stop(
         stop,
         {
-            name: Reading(q=np.full(len(arm.type.joints), float(stop)), p_M=np.ones(3), time_s=float(stop))
+            name: Readings.one(q=np.full(len(arm.type.joints), float(stop)), p_M=np.ones(3), time_s=float(stop))
             for name, arm in run.profile.arms.items()
         },
     )

@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile, write_readings_csv
 from cellapp.commands.stages import readings_digest
-from cellapp.estimation.readings import Reading, Readings, joined
+from cellapp.estimation.readings import Readings, joined
 from cellapp.estimation.readings.columns import COLUMNS
 from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.transforms import apply, invert, transform
@@ -639,6 +639,5 @@ def test_every_column_is_an_attribute_and_no_attribute_is_forgotten() -> None:
     names = {column.name for column in COLUMNS}
     beside = {"extras", "other_q"}  # not of a table's row
     assert names == set(Readings.__dataclass_fields__) - beside
-    assert names - {"configuration"} == set(Reading.__dataclass_fields__) - {"extras"}
     csv_names = [name for column in COLUMNS for name in column.csv_names(7)]
     assert len(csv_names) == len(set(csv_names))

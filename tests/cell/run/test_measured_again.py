@@ -25,7 +25,7 @@ from cellapp.cell.run.records import ArmOrder
 from cellapp.commands.calibrate.run import sample_missing_splits
 from cellapp.commands.import_ import ImportRequest
 from cellapp.commands.import_ import run as import_run
-from cellapp.estimation.readings import Reading, Readings
+from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError, NotConverged
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Smr
@@ -45,8 +45,8 @@ from tests.twin import PROFILES, small_twin
 from tests.verbs import import_new_run
 
 
-def seen(joints: int, x_m: float) -> Reading:
-    return Reading(q=np.zeros(joints), p_M=np.array([x_m, 0.0, 0.0]), time_s=9.0, split="train")
+def seen(joints: int, x_m: float) -> Readings:
+    return Readings.one(q=np.zeros(joints), p_M=np.array([x_m, 0.0, 0.0]), time_s=9.0, split="train")
 
 
 @pytest.fixture
@@ -61,12 +61,12 @@ def test_the_newest_reading_counts_and_those_before_are_kept_as_they_were(run: R
     before = run.readings("left")
     for x_m in (2.0, 3.0):
         replace_stop(run, 1, {"left": seen(2, x_m), "right": seen(3, x_m)})
-    left, earlier = run.readings("left"), earlier_readings(run, "left")
+    left, (earlier, replaced) = run.readings("left"), earlier_readings(run, "left")
     np.testing.assert_array_equal(left.p_M[:, 0], [1.0, 3.0])
-    assert earlier.readings.configuration.tolist() == [1, 1]
-    np.testing.assert_array_equal(earlier.readings.p_M[:, 0], [1.0, 2.0])
-    np.testing.assert_array_equal(earlier.readings.q[0], before.q[1])
-    assert list(earlier.replaced) == sorted(earlier.replaced)
+    assert earlier.configuration.tolist() == [1, 1]
+    np.testing.assert_array_equal(earlier.p_M[:, 0], [1.0, 2.0])
+    np.testing.assert_array_equal(earlier.q[0], before.q[1])
+    assert list(replaced) == sorted(replaced)
     assert replaced_counts(run) == {"left": 2, "right": 2}
     assert run.stops_done() == {0, 1}
 
@@ -85,7 +85,7 @@ def test_what_stops_to_come_are_for_is_said_when_splits_are_drawn(tmp_path: Path
         for stop in range(20):
             add_stop(run, stop)
         *_, note = sample_missing_splits(run)
-    assert note.startswith("2 planned stops are not measured: splits are drawn once")
+    assert note.startswith("2 planned stops are not measured: splits are chosen once")
 
 
 def test_an_arm_without_a_new_reading_keeps_what_it_has_and_one_that_had_none_gets_it(run: RunFile) -> None:
@@ -109,7 +109,7 @@ def test_a_file_of_the_eighth_schema_has_none_and_takes_some(run: RunFile) -> No
         connection.execute("PRAGMA user_version=8")
         connection.commit()
     with RunFile.open(run.folder) as older:
-        assert len(earlier_readings(older, "left").readings) == 0
+        assert len(earlier_readings(older, "left")[0]) == 0
         assert replaced_counts(older) == {}
         assert [one.again for one in older.sessions()] == [""]
     with RunFile.open(run.folder, write=True) as older:
@@ -124,7 +124,7 @@ def test_a_file_of_the_eighth_schema_has_none_and_takes_some(run: RunFile) -> No
 
 def reading(number: int, **more: object) -> Readings:
     values = {"q": np.full(3, 0.1 * number), "p_M": np.full(3, float(number)), **more}
-    return Reading(**values).as_readings(number)  # type: ignore[arg-type]
+    return Readings.one(**values).at_stop(number)
 
 
 # -- Import in the order of measurement: each joint's last motion from the row before, and what contradicts it ---------

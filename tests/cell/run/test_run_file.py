@@ -15,6 +15,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,7 +28,7 @@ from cellapp.cell.run.run_arms import BY_PERSON, note_at_rest, note_halt, unseen
 from cellapp.cell.run.sqlite_file import ReferenceRow
 from cellapp.commands.show.overview import run_overview
 from cellapp.commands.show.view import overview_sentences
-from cellapp.estimation.readings import Reading
+from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Halt
@@ -46,9 +47,9 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path / "runs" / "first"
 
 
-def reading(seed: int, joints: int = 2) -> Reading:
+def reading(seed: int, joints: int = 2) -> Readings:
     rng = np.random.default_rng(seed)
-    return Reading(q=rng.normal(size=joints), p_M=rng.normal(size=3), time_s=float(seed))
+    return Readings.one(q=rng.normal(size=joints), p_M=rng.normal(size=3), time_s=float(seed))
 
 
 def files(folder: Path) -> dict[str, bytes]:
@@ -100,23 +101,19 @@ def test_a_stop_is_stored_for_all_arms_or_for_none(profile: Profile, folder: Pat
 @pytest.mark.parametrize(
     ("arm", "wrong", "says"),
     [
-        ("middle", reading(0), "arm 'middle' not found; arms are left, right"),
-        ("left", reading(0, 3), "3 joint positions for the 2 joints of arm left"),
-        ("left", Reading(q=np.array([0.0, np.nan]), p_M=np.zeros(3)), "not finite"),
-        ("left", Reading(q=np.zeros(2), p_M=np.array([0.0, np.inf, 0.0])), "not finite"),
-        ("left", Reading(q=np.zeros(2), p_M=np.zeros(2)), "expected p_M"),
-        ("left", Reading(q=np.zeros(2), p_M=np.zeros(3), split="test"), "'test' is not a split"),
-        (
-            "left",
-            Reading(q=np.zeros(2), p_M=np.zeros(3), approach=np.array([2, 0], np.int8)),
-            r"is not -1, 0 \(unknown\) or 1",
-        ),
+        ("middle", {}, "arm 'middle' not found; arms are left, right"),
+        ("left", {"q": np.zeros(3)}, "3 joint positions for the 2 joints of arm left"),
+        ("left", {"q": np.array([0.0, np.nan])}, "not finite"),
+        ("left", {"p_M": np.array([0.0, np.inf, 0.0])}, "not finite"),
+        ("left", {"p_M": np.zeros(2)}, "expected p_M"),
+        ("left", {"split": "test"}, "'test' is not a split"),
+        ("left", {"approach": np.array([2, 0], np.int8)}, r"is not -1, 0 \(unknown\) or 1"),
     ],
 )
-def test_values_that_are_no_reading(profile: Profile, folder: Path, arm: str, wrong: Reading, says: str) -> None:
+def test_values_that_are_no_reading(profile: Profile, folder: Path, arm: str, wrong: dict[str, Any], says: str) -> None:
     with RunFile.create(folder, profile) as run:
         with pytest.raises((InputError, ValueError), match=says):
-            run.add_stop(0, {arm: wrong})
+            run.add_stop(0, {arm: Readings.one(**{"q": np.zeros(2), "p_M": np.zeros(3), **wrong})})
         assert run.stops_done() == set()
 
 
@@ -203,6 +200,9 @@ def test_an_empty_folder_and_one_of_a_killed_creation_are_used(profile: Profile,
     with RunFile.create(folder, profile) as run:
         run.log("info", "made")
     assert list(files(folder)) == ["run.sqlite"]
+    (folder / "below" / "run.sqlite.new").mkdir(parents=True)
+    with pytest.raises(InputError, match="is not empty"):
+        RunFile.create(folder / "below", profile)
 
 
 def test_a_creation_that_fails_leaves_nothing(profile: Profile, tmp_path: Path) -> None:
@@ -258,14 +258,15 @@ import sys
 from pathlib import Path
 import numpy as np
 from cellapp.cell.run import RunFile
-from cellapp.estimation.readings import Reading
+from cellapp.estimation.readings import Readings
 
 with RunFile.open(Path(sys.argv[1]), write=True) as run:
     stop = max(run.stops_done(), default=-1)
     while True:
         stop += 1
+        at = {"p_M": np.full(3, stop / 3.0), "time_s": float(stop)}
         rows = {
-            name: Reading(q=np.full(len(arm.type.joints), stop + 0.5), p_M=np.full(3, stop / 3.0), time_s=float(stop))
+            name: Readings.one(q=np.full(len(arm.type.joints), stop + 0.5), **at)
             for name, arm in run.profile.arms.items()
         }
         run.add_stop(stop, rows)
@@ -332,7 +333,7 @@ def test_a_file_of_the_first_schema_is_read_and_when_written_to_gets_what_it_lac
         assert run.readings("left").step is None
     assert (folder / "run.sqlite").read_bytes() == before
     with RunFile.open(folder, write=True) as run:
-        run.add_stop(2, {"left": replace(reading(2), step=np.array([0.1, -0.2]), dwell_s=1.5)})
+        run.add_stop(2, {"left": replace(reading(2), step=np.array([[0.1, -0.2]]), dwell_s=np.array([1.5]))})
     with RunFile.open(folder) as run:
         left = run.readings("left")
         assert left.step is not None
@@ -405,9 +406,9 @@ LONG_TEXT = "x" * 20_000
 """More than one page of the file, so that a full disk is noticed."""
 
 
-def reading_of_machine(arm: str, seed: int) -> Reading:
+def reading_of_machine(arm: str, seed: int) -> Readings:
     rng = np.random.default_rng(seed)
-    return Reading(q=rng.normal(size=JOINTS[arm]), p_M=rng.normal(size=3), time_s=float(seed))
+    return Readings.one(q=rng.normal(size=JOINTS[arm]), p_M=rng.normal(size=3), time_s=float(seed))
 
 
 @dataclass

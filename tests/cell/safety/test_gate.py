@@ -18,8 +18,8 @@ from cellapp.cell.safety.cell_bodies import cell_bodies, cover, home_positions
 from cellapp.cell.safety.gate import (
     CellBodies,
     FreeMotions,
-    PathsAtOnce,
     allowed_apart_m,
+    apart_m,
     clear_stops,
     free_motions,
     gap_at_rest,
@@ -133,9 +133,10 @@ def test_arms_at_once_may_be_apart_by_what_the_slower_one_runs_until_all_are_sto
     paths = {"a": np.array([[0.0], [0.01], [0.02]]), "b": np.array([[0.0], [0.01], [0.04]])}
     assert allowed_apart_m(turnstiles, paths, 0.1) == pytest.approx(0.05 + 0.5 * 0.01 * lever / 0.1)
     assert allowed_apart_m(turnstiles, {"a": paths["a"]}, 0.1) == 0.0
-    at_once = PathsAtOnce(turnstiles, paths)
-    assert at_once.apart_m(at(a=0.01, b=0.01)) == 0.0
-    assert at_once.apart_m(at(a=0.02, b=0.0)) == pytest.approx(0.02 * lever)  # from the first row or the second
+    assert apart_m(turnstiles, paths, at(a=0.01, b=0.01)) == 0.0
+    assert apart_m(turnstiles, paths, at(a=0.02, b=0.0)) == pytest.approx(
+        0.02 * lever
+    )  # from the first row or the second
 
 
 def test_the_gap_of_arms_at_rest_is_that_of_their_nearest_bodies(twin: CellBodies) -> None:

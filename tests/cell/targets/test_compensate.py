@@ -13,7 +13,7 @@ import pytest
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import refuse_stop, visible
-from cellapp.cell.targets.compensate import Command, compensate, compensate_result, invert_model, with_approach
+from cellapp.cell.targets.compensate import Command, compensate, compensate_result, invert_model
 from cellapp.cell.targets.prediction import command_record
 from cellapp.cell.targets.targets import Partner, Target, load_targets
 from cellapp.estimation.readings import Readings
@@ -33,8 +33,6 @@ def term(slug: str, **values: float) -> EffectTerm:
 
 
 COMPLIANCE = term("joint_compliance", compliance2=1.0 / 6e4, compliance3=1.0 / 3e4, compliance5=1.0 / 1e4)
-ECCENTRICITY = term("encoder_eccentricity", cos1q1=8e-5, sin1q1=-5e-5, sin1q4=2e-4)
-BACKLASH = term("backlash", half_play1=1e-4, half_play2=2e-4, half_play6=5e-5)
 
 
 @pytest.fixture(scope="module")
@@ -61,19 +59,6 @@ def test_commands_are_inside_the_limits_safe_and_seen(
     assert sum(command.visible or False for command in commands) >= 30
 
 
-@pytest.mark.parametrize("effects", [(), (COMPLIANCE,), (COMPLIANCE, ECCENTRICITY), (BACKLASH, COMPLIANCE)])
-def test_the_model_is_inverted_with_all_its_effects(model: CellModel, effects: tuple[EffectTerm, ...]) -> None:
-    arm = with_effects(model, "left", *effects)
-    q = np.random.default_rng(0).uniform(-1.5, 1.5, (40, 6)) + np.array([0, -1.2, 0.8, -1.4, 0.9, 0])
-    q = q[np.abs(np.sin(q[:, 2])) > 0.2]
-    q = q[np.abs(np.sin(q[:, 4])) > 0.2]
-    rotation, _ = arm.flange(q)
-    back, reached = invert_model(arm, arm.predict(q), rotation, q + 1e-3)
-    assert reached.mean() > 0.9
-    assert len(q) > 10
-    np.testing.assert_allclose(arm.predict(back[reached]), arm.predict(q)[reached], atol=1e-9)
-
-
 class Waves:
     """A correction in the base frame that varies with the joints, as a residual network's does."""
 
@@ -93,20 +78,6 @@ def test_what_the_network_adds_is_aimed_off_for(model: CellModel, commands: tupl
     assert len(q) >= 5
     assert reached.all()
     np.testing.assert_allclose(arm.predict(back), arm.predict(q), atol=1e-9)
-
-
-def test_the_side_that_a_joint_arrives_from_is_made_good(model: CellModel) -> None:
-    """By the play's own rule: a joint stays half the play behind its last motion."""
-    arm = with_effects(model, "right", BACKLASH, COMPLIANCE)
-    command = np.array([0.3, -1.2, 0.9, -1.0, 0.7, 0.2])
-    half = np.array([1e-4, 2e-4, 0.0, 0.0, 0.0, 5e-5])
-    middle = arm.true_joints(command[None])[0]
-    for here in (command + 1.0, command - 1.0, command + np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0])):
-        side = np.sign(command - here)
-        sent = with_approach(arm, command, here)
-        np.testing.assert_allclose(arm.true_joints(sent[None], side[None])[0], middle, atol=1e-11)
-        np.testing.assert_allclose(sent - command, side * half, atol=1e-6)
-    np.testing.assert_allclose(with_approach(arm, command, command), command, atol=1e-12)
 
 
 def one(arm: str, position: tuple[float, float, float], rpy: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Target:

@@ -7,16 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from cellapp.cell.targets.prediction import length_bounds, outside_notes, predicted_verdict, predictions, spread_of
-from cellapp.cell.targets.ranges import ConditionRanges, MeasuringNoise, approach_sides, unknown_conditions
+from cellapp.cell.targets.ranges import ConditionRanges, MeasuringNoise, unknown_conditions
 from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
 from cellapp.robot.model import ArmModel, CellModel
 from cellapp.robot.model.model import PosteriorSamples
 
-NORMAL = np.random.default_rng(2).standard_normal((400_000, 3))
 HOME = np.array([0.0, -1.2, 0.8, -1.4, 0.9, 0.0])
 NOTHING = MeasurementConditions()
 
@@ -36,17 +33,6 @@ def arm(model: CellModel) -> ArmModel:
 
 def configurations(n: int) -> np.ndarray:
     return HOME + np.random.default_rng(1).uniform(-0.5, 0.5, (n, 6))
-
-
-@given(st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.integers(0, 100))
-def test_95_percent_of_normal_errors_are_within_the_bound(second: float, third: float, seed: int) -> None:
-    """Against 400 000 draws, whose share is known to 0.035 %; for any shape and direction of the covariance."""
-    sizes = np.array([1.0, second, second * third])
-    rotation = np.linalg.qr(np.random.default_rng(seed).standard_normal((3, 3)))[0]
-    low, high = (bound[0] for bound in length_bounds((rotation * sizes**2 @ rotation.T)[None] * 1e-10))
-    lengths = np.linalg.norm(NORMAL * sizes, axis=1) * 1e-5
-    assert np.mean(lengths <= high) == pytest.approx(0.95, abs=0.003)
-    assert np.mean(lengths <= low) <= 0.0515
 
 
 def test_bounds_of_published_cases() -> None:
@@ -77,36 +63,6 @@ def test_stated_distances_hold_for_errors_drawn_from_the_model(arm: ArmModel) ->
     drawn = replace(arm.posterior, geometry=rng.standard_normal((4000, 2)) * arm.posterior.geometry.std(axis=0))
     moved = drawn.displacements(arm.geometry, (), arm.context(q)) + rng.standard_normal((4000, 40, 3)) * 1.5e-5
     assert np.mean(np.linalg.norm(moved, axis=2) * 1e3 <= stated) == pytest.approx(0.95, abs=0.01)
-
-
-def test_an_unknown_side_counts_with_what_it_moves(arm: ArmModel) -> None:
-    played = replace(arm, effects=(term("backlash", half_play1=1e-4, half_play2=2e-4),))
-    q = configurations(10)
-    sides = approach_sides(played, q, NOTHING, ConditionRanges())
-    assert sides is not None
-    unknown = sides.other_sides(np.zeros(q.shape))
-    assert (unknown.condition, unknown.effects) == ("approach", ("backlash",))
-    signs = np.tile([1.0, -1.0, 0.0, 0.0, 0.0, 0.0], (10, 1))
-    chosen = sides.other_sides(signs)
-    assert not chosen.covariance.any(), "a command says for which side it holds"
-    for k, here in enumerate(q):
-        ends, own = [], played.predict(here[None], signs[:1])[0]
-        for first in (-1.0, 1.0):
-            for second in (-1.0, 1.0):
-                side = np.array([[first, second, 0.0, 0.0, 0.0, 0.0]])
-                ends.append(played.predict(here[None], side)[0] - played.predict(here[None])[0])
-        assert unknown.largest_m[k] == pytest.approx(np.linalg.norm(ends, axis=1).max(), rel=1e-3)
-        np.testing.assert_allclose(unknown.covariance[k], np.cov(np.array(ends).T, bias=True), rtol=2e-3, atol=1e-13)
-        away = np.array(ends) + played.predict(here[None])[0] - own
-        assert chosen.largest_m[k] == pytest.approx(np.linalg.norm(away, axis=1).max(), rel=1e-3)
-    stated = MeasurementConditions(approach=np.tile([1.0, -1.0, 0.0, 0.0, 0.0, 0.0], (10, 1)))
-    whole = approach_sides(played, q, stated, ConditionRanges())
-    assert whole is not None
-    assert not whole.matter.any()
-    half = MeasurementConditions(approach=np.tile([1.0, 0.0, 0.0, 0.0, 0.0, 0.0], (10, 1)))
-    less = approach_sides(played, q, half, ConditionRanges())
-    assert less is not None
-    assert np.all(less.other_sides(np.zeros(q.shape)).largest_m < unknown.largest_m)
 
 
 @pytest.mark.parametrize(

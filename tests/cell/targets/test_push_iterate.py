@@ -16,7 +16,7 @@ from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.driving.motion import Mover
 from cellapp.cell.driving.supervision import moving_cell
 from cellapp.cell.driving.sweeping import MOST_RUNS, PathDriver
-from cellapp.cell.driving.target_visit import distance_explained_by_noise, explained_by_noise, push
+from cellapp.cell.driving.target_visit import push
 from cellapp.cell.exports.export_format import first_rates
 from cellapp.cell.run import RunFile
 from cellapp.cell.targets.compensate import compensate
@@ -169,21 +169,6 @@ def test_a_correction_that_leads_too_far_is_refused(
     assert len(found.targets[0].rounds_mm) == 1
     assert found.targets[0].q_corrected is None
     assert found.targets[1].note == ""
-
-
-def test_noise_explains_95_of_100_errors() -> None:
-    rng = np.random.default_rng(5)
-    root = np.array([[20e-6, 0.0, 0.0], [5e-6, 18e-6, 0.0], [1e-6, -2e-6, 6e-6]])
-    errors = rng.standard_normal((4000, 3)) @ root.T
-    share = np.mean([explained_by_noise(error, root @ root.T) for error in errors])
-    assert share == pytest.approx(0.95, abs=0.015)
-    line = np.array([0.3, -0.5, 0.1])
-    along = errors @ line / np.linalg.norm(line)
-    assert np.mean([distance_explained_by_noise(off, line, root @ root.T) for off in along]) == pytest.approx(
-        0.95, abs=0.015
-    )
-    assert not explained_by_noise(np.array([np.nan, 0.0, 0.0]), root @ root.T)
-    assert not explained_by_noise(np.full(3, 1e-4), np.zeros((3, 3)))
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from cellapp.cell.driving.cell import build_plant
-from cellapp.cell.driving.cell_checks import require_same_arms
 from cellapp.cell.driving.target_visit import push
 from cellapp.cell.driving.verification import Agreement
 from cellapp.cell.profile import load_profile
@@ -95,12 +94,6 @@ def test_another_smr_mount_is_refused(
     with pytest.raises(InputError, match=f"arm left: {words}"):
         push(profile, model, commands, verify=True)
     assert cells == []
-
-
-def test_an_unknown_smr_offset_is_no_other_mount(run: RunFile, model: CellModel, commands: tuple[Command, ...]) -> None:
-    left = run.profile.arms["left"]
-    unknown = left.model_copy(update={"smr": left.smr.model_copy(update={"offset": "unknown"})})
-    require_same_arms(run.profile.model_copy(update={"arms": {**run.profile.arms, "left": unknown}}), model, commands)
 
 
 def test_another_dh_checksum_is_refused_unless_one_insists(

@@ -8,9 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation
 
 from cellapp.cell.targets.goals import work_frame_pose
 from cellapp.cell.targets.targets import (
@@ -24,7 +21,6 @@ from cellapp.cell.targets.targets import (
     target_record,
 )
 from cellapp.ground.errors import InputError
-from cellapp.robot.kinematics.transforms import rotation_zyx
 from tests.approved import assert_refused
 from tests.twin import small_twin
 
@@ -119,24 +115,6 @@ def test_a_work_frame_that_is_refused(path: Path, frame: str, says: str) -> None
 
 
 # -- rotations --------------------------------------------------------------------------------------------------------
-
-
-@given(
-    quaternion=st.tuples(*[st.floats(-1.0, 1.0)] * 4).filter(lambda q: np.linalg.norm(q) > 0.1),
-    off=st.floats(-8e-4, 8e-4),
-)
-def test_every_kind_of_rotation_is_the_same_rotation(quaternion: tuple[float, ...], off: float) -> None:
-    rotation = Rotation.from_quat(quaternion)
-    x, y, z, w = (rotation.as_quat() * (1.0 + off)).tolist()
-    kinds = {
-        "quaternion": (w, x, y, z),
-        "rotation_vector": rotation.as_rotvec().tolist(),
-        "matrix": (rotation.as_matrix() * (1.0 + 0.4 * off)).tolist(),
-    }
-    for kind, value in kinds.items():
-        target = Target.model_validate({"name": "one", "arm": "left", "position": [0, 0, 0], kind: value})
-        assert target.rpy is not None
-        np.testing.assert_allclose(rotation_zyx(*target.rpy[::-1]), rotation.as_matrix(), rtol=0.0, atol=1e-12)
 
 
 def test_units_in_a_rotation_vector_and_no_rotation(path: Path) -> None:

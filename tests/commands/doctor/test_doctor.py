@@ -20,7 +20,7 @@ from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import refuse_stop
 from cellapp.commands.doctor.result import DoctorResult
 from cellapp.commands.doctor.run import _end_left_programs, examine_run
-from cellapp.commands.emulate import EmulatedArm, EmulateResult, emulate, emulated_arms
+from cellapp.commands.emulate import emulate, emulated_arms
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import BoxObstacle, CapsuleObstacle, Placement, SphereObstacle
@@ -278,17 +278,6 @@ def test_a_program_that_a_cellapp_left_is_ended_after_one_question(
 # -- emulate ----------------------------------------------------------------------------------------------------------
 
 
-def test_simulated_arms_are_stood_in_for_on_addresses_of_their_own(twin: Profile) -> None:
-    arms = emulated_arms(twin)
-    assert [(arm.arm, arm.controller.model, arm.host) for arm in arms] == [
-        ("left", "UR10", "127.0.0.2"),
-        ("right", "UR5", "127.0.0.3"),
-    ]
-    assert {(arm.dashboard_port, arm.primary_port) for arm in arms} == {(29999, 30001)}
-    assert arms[0].controller.rows[1][2] == -0.612
-    assert len({arm.controller.serial for arm in arms}) == 2
-
-
 def test_ur_arms_are_stood_in_for_on_loopback_hosts_only(real: Profile) -> None:
     with pytest.raises(InputError, match="no controller to emulate"):
         emulated_arms(real)
@@ -306,37 +295,6 @@ def test_only_ur_arms_are_stood_in_for(twin: Profile) -> None:
     e_series = twin.arms["left"].type.model_copy(update={"model": "UR10e"})
     controller = emulated_arms(change(twin, "left", type=e_series))[0].controller
     assert (controller.series, controller.model) == ("e-Series", "UR10")
-
-
-def test_the_doctor_finds_emulated_controllers_until_they_are_cancelled(real: Profile) -> None:
-    profile = with_driver(with_driver(real, "left", host="127.0.0.2"), "right", host="127.0.0.3")
-    cancel = JobToken()
-    listening: list[EmulatedArm] = []
-
-    def at_their_ports(host: str, timeout_s: float) -> UrProbe:
-        arm = next(arm for arm in listening if arm.host == host)
-        ports = (arm.dashboard_port, arm.primary_port, arm.script_port, arm.rtde_port)
-        return probe_ur(host, timeout_s, ports=ports)
-
-    found: dict[str, Finding] = {}
-
-    def announced(served: EmulateResult) -> None:
-        listening.extend(served.arms)
-        found.update(findings(profile, at_their_ports))
-        cancel.cancel()
-
-    before = threading.active_count()
-    emulate(profile, cancel, announced, on_free_ports(profile))
-    assert threading.active_count() == before
-    first = listening[0]
-    assert (first.controller.model, first.controller.serial, first.host) == ("UR10", "20153012345", "127.0.0.2")
-    failed = {subject for subject, finding in found.items() if finding.status == "failed"}
-    assert failed == {"tracker"}
-    assert found["arm left: payload"].text == "0.350 kg at [15.0, 7.0, 30.0] mm"
-    assert found["arm left: joint limits"].status == "ok"
-    assert found["arm left: model"].text == "UR10"
-    assert found["arm right: model"].text == "UR5"
-    assert found["arm left: kinematics"].status == "ok"
 
 
 def test_a_port_in_use_is_named_and_nothing_is_left_open(twin: Profile) -> None:

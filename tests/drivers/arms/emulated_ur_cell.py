@@ -135,6 +135,18 @@ def is_stall(error: ArmError) -> bool:
     return isinstance(error, HostStalled) or any(words in str(error) for words in stalls)
 
 
+class Heard:
+    """A listener that keeps what it was told, and when."""
+
+    def __init__(self, arm: UrArm) -> None:
+        self.faults: list[tuple[float, ArmError]] = []
+        arm.watch(lambda error: self.faults.append((time.monotonic(), error)))
+
+    def first(self) -> tuple[float, ArmError]:
+        until(lambda: bool(self.faults), "the listener is told")
+        return self.faults[0]
+
+
 def pause(seconds: float) -> None:
     threading.Event().wait(seconds)
 

@@ -55,14 +55,6 @@ def test_a_motion_is_straight_and_within_limits(start, goal, speed, acceleration
     assert (np.diff(share) >= -1e-12).all()
 
 
-def test_durations_are_those_of_a_trapezium_and_a_triangle():
-    start, goal = np.zeros(2), np.array([2.0, -1.0])
-    for speed, duration_s in ((1.0, 2.0 / 1.0 + 1.0 / 2.0), (9.0, 2.0)):
-        motion = travel(0.0, start, goal, np.full(2, speed), np.full(2, 2.0))
-        assert motion is not None
-        assert motion.duration_s == pytest.approx(duration_s)
-
-
 @settings(max_examples=60, deadline=None)
 @given(goal=angles, speed=limits, acceleration=limits, share=st.floats(0.01, 0.99))
 def test_braking_follows_the_path_and_never_passes_its_end(goal, speed, acceleration, share):
@@ -85,19 +77,6 @@ def test_braking_follows_the_path_and_never_passes_its_end(goal, speed, accelera
     assert again.position(np.array([again.end_s]))[0] == pytest.approx(end, abs=1e-9)
 
 
-def test_stop_brings_the_arm_to_rest_on_its_path(plant, arm):
-    arm.start_move(np.full(6, 2.0), SPEED, ACCELERATION)
-    plant.advance(1.0)
-    arm.stop()
-    state = arm.state()
-    assert not state.moving
-    assert state.ready
-    # 0.25 rad to gather speed, 0.5 s at 1 rad/s, then 3 rad/s^2 the other way
-    assert state.q == pytest.approx(np.full(6, 0.75 + 1.0 / 6.0))
-    arm.stop()
-    assert np.array_equal(arm.state().q, state.q)
-
-
 @pytest.mark.parametrize(
     ("q", "speed", "acceleration", "message"),
     [
@@ -114,72 +93,6 @@ def test_a_goal_outside_the_limits_moves_nothing(plant, arm, q, speed, accelerat
     with pytest.raises(LimitExceeded, match=f"arm left: .*{message}"):
         arm.start_move(q, speed, acceleration)
     assert not plant.moving("left")
-
-
-@pytest.mark.parametrize(
-    ("cause", "error"), [(SimulatedArm.protective_stop, ProtectiveStop), (SimulatedArm.emergency_stop, EmergencyStop)]
-)
-def test_a_stopped_arm_rests_refuses_and_comes_back(arm, cause, error):
-    arm.start_move(np.full(6, 2.0), SPEED, ACCELERATION)
-    arm.state()
-    cause(arm)
-    with pytest.raises(error, match="arm left"):
-        arm.wait_settled(10.0)
-    state = arm.state()
-    assert not state.moving
-    assert not state.ready
-    assert "arm left" in state.reason
-    assert (state.q < 0.1).all()
-    with pytest.raises(error):
-        arm.start_move(np.ones(6), SPEED, ACCELERATION)
-    arm.release()
-    arm.start_move(np.ones(6), SPEED, ACCELERATION)
-    assert np.array_equal(arm.wait_settled(10.0).q, np.ones(6))
-
-
-def test_disconnecting_stops_the_arm_and_can_be_repeated(plant, arm):
-    arm.start_move(np.ones(6), SPEED, ACCELERATION)
-    arm.disconnect()
-    arm.disconnect()
-    assert not plant.moving("left")
-    with pytest.raises(LinkLost):
-        arm.state()
-
-
-def test_joints_warm_up_with_motion_and_cool_at_rest(plant, arm):
-    cold = arm.state().joint_temperature_c
-    assert cold == pytest.approx(plant.air_temperature_c)
-    for k in range(200):
-        goal = np.zeros(6)
-        goal[1] = 2.0 * (k % 2)
-        arm.start_move(goal, SPEED, ACCELERATION)
-        arm.wait_settled(10.0)
-    rise = arm.state().joint_temperature_c - plant.air_temperature_c
-    assert 1.0 < rise[1] < 20.0
-    assert np.abs(rise[[0, 2, 3, 4, 5]]).max() == 0.0
-    plant.advance(4 * 3600.0)
-    assert 0.0 < plant.joint_temperatures_c("left")[1] - plant.air_temperature_c < 0.01 * rise[1]
-
-
-def test_each_stop_misses_its_goal_by_the_repeatability(make_arm, make_plant):
-    config = {"repeatability": 2e-5, "seed": 4}
-    plant, ideal = make_plant(make_arm(), **config), make_plant(make_arm())
-    pose, stand = np.zeros(6), np.array([0.0, -0.4, 0.8, 0.0, 0.0, 0.0])
-    exact = ideal.smr_positions("left", stand[None])[0]
-    jacobian = np.array(
-        [(ideal.smr_positions("left", stand[None] + 1e-6 * unit)[0] - exact) / 1e-6 for unit in np.eye(6)]
-    ).T
-    misses = []
-    for _ in range(300):
-        for goal in (pose, stand):
-            plant.start_move("left", goal, SPEED, ACCELERATION)
-            plant.advance(10.0)
-        misses.append(plant.targets()[0].p_M - exact)
-        assert np.array_equal(plant.targets()[0].p_M - exact, misses[-1])  # the same while it stands
-        assert np.array_equal(plant.q("left"), stand)
-    expected = 4e-10 * jacobian @ jacobian.T
-    assert np.trace(np.cov(np.array(misses).T)) == pytest.approx(np.trace(expected), rel=0.3)
-    assert np.abs(np.mean(misses, axis=0)).max() < 4e-6
 
 
 # -- Paths are followed with a lag, and every stop ends them -----------------------------------------------------------

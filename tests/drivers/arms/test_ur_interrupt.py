@@ -137,8 +137,8 @@ def not_seen_to_start(emulator: EmulatorProcess, arm: UrArm) -> None:
             hurried.disconnect()
         until(lambda: not status()["starting"], "it starts after all")
         until(lambda: status()["runtime_state"] == "STOPPED", "its watchdog ends it")
-        hurried._program.awaited = False
-    emulator.control(arm.name, "start-delay", 0.05)
+        emulator.control(arm.name, "start-delay", 0.05)
+        hurried.connect()  # a program that is seen to run ends the doubt
 
 
 def at_any_moment(emulator: EmulatorProcess, arm: UrArm, *, again: bool) -> None:
@@ -156,12 +156,14 @@ def at_any_moment(emulator: EmulatorProcess, arm: UrArm, *, again: bool) -> None
 
 
 def close(arm: UrArm) -> None:
-    """Disconnect. A program whose process was killed between its announcement and its upload is never seen."""
+    """Disconnect. A program whose process was killed between its announcement and its upload is never seen: the next
+    connection has one that is."""
     try:
         arm.disconnect()
     except LinkLost as error:
         assert "was not seen to start and end within" in str(error)  # noqa: PT017 - most often nothing is raised
-        arm._program.awaited = False
+        arm.connect()
+        arm.disconnect()
 
 
 def ended_after(arm: UrArm, after_s: float) -> float:

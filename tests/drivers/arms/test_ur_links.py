@@ -22,6 +22,7 @@ from tests.drivers.arms.emulated_ur_cell import (
     PATIENT_S,
     SPEED,
     Episode,
+    Heard,
     of_each_arm,
     pause,
     repair,
@@ -39,18 +40,6 @@ def make_ready(emulator: EmulatorProcess, arm: UrArm) -> None:
     arm.watch(lambda error: None)
     repair(emulator, arm.name)
     arm.connect()
-
-
-class Heard:
-    """A listener that keeps what it was told, and when."""
-
-    def __init__(self, arm: UrArm) -> None:
-        self.faults: list[tuple[float, ArmError]] = []
-        arm.watch(lambda error: self.faults.append((time.monotonic(), error)))
-
-    def first(self) -> tuple[float, ArmError]:
-        until(lambda: bool(self.faults), "the listener is told")
-        return self.faults[0]
 
 
 # -- confirm ----------------------------------------------------------------------------------------------------------
@@ -81,16 +70,19 @@ UNCONFIRMED: dict[str, tuple[Any, ...] | signal.Signals] = {
 }
 
 
+def strike(emulator: EmulatorProcess, arm: UrArm, fault: tuple[Any, ...] | signal.Signals) -> None:
+    if isinstance(fault, signal.Signals):
+        assert arm.worker_pid is not None
+        os.kill(arm.worker_pid, fault)
+    else:
+        emulator.control(arm.name, *fault)
+
+
 def link_that_does_not_answer_is_a_fault(emulator: EmulatorProcess, arm: UrArm, *, what: str) -> None:
     for took in attempts(raised=0.3 + BUSY_S):
         make_ready(emulator, arm)
         heard = Heard(arm)
-        fault = UNCONFIRMED[what]
-        if isinstance(fault, signal.Signals):
-            assert arm.worker_pid is not None
-            os.kill(arm.worker_pid, fault)
-        else:
-            emulator.control(arm.name, *fault)
+        strike(emulator, arm, UNCONFIRMED[what])
         began_s = time.monotonic()
         with pytest.raises(LinkLost, match=f"arm {arm.name}: "):
             arm.confirm()
@@ -171,12 +163,7 @@ def live_is_fresh_and_knows_a_motion(emulator: EmulatorProcess, arm: UrArm) -> N
 
 
 def live_grows_old(emulator: EmulatorProcess, arm: UrArm, *, what: str) -> None:
-    fault = UNCONFIRMED[what]
-    if isinstance(fault, signal.Signals):
-        assert arm.worker_pid is not None
-        os.kill(arm.worker_pid, fault)
-    else:
-        emulator.control(arm.name, *fault)
+    strike(emulator, arm, UNCONFIRMED[what])
     until(lambda: arm.live().age_s > 0.5, "it is old")
     repair(emulator, arm.name)
     arm.disconnect()

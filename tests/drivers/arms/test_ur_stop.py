@@ -41,6 +41,7 @@ from tests.drivers.arms.emulated_ur_cell import (
     SPEED,
     UNHURRIED,
     Episode,
+    Heard,
     assert_braked,
     assert_stays_at_rest,
     at_rest,
@@ -87,18 +88,6 @@ def start(emulator: EmulatorProcess, arm: UrArm, speed: np.ndarray = UNHURRIED) 
 def go(arm: UrArm, q: np.ndarray) -> None:
     arm.start_move(q, SPEED, ACCELERATION)
     np.testing.assert_allclose(arm.wait_settled(PATIENT_S).q, q, atol=1e-6)
-
-
-class Heard:
-    """A listener that keeps what it was told, and when."""
-
-    def __init__(self, arm: UrArm) -> None:
-        self.faults: list[tuple[float, ArmError]] = []
-        arm.watch(lambda error: self.faults.append((time.monotonic(), error)))
-
-    def first(self) -> tuple[float, ArmError]:
-        until(lambda: bool(self.faults), "the listener is told")
-        return self.faults[0]
 
 
 # -- brake ------------------------------------------------------------------------------------------------------------

@@ -96,18 +96,6 @@ def bench(request: pytest.FixtureRequest) -> Bench:
 # -- the control script ------------------------------------------------------------------------------------------------
 
 
-def test_a_blocking_move_arrives_exactly_after_its_ideal_time_and_looks_ready_meanwhile(bench: Bench) -> None:
-    target = goal(bench, j1=0.5, j4=-0.2)
-    bench.write(MOVE, (*target, 1.0, 2.0))
-    bench.cycles(3)
-    assert bench.controller.moving
-    assert bench.output(0) == READY, "the script says nothing while a motion blocks it"
-    took = bench.until(lambda: bench.output(0) == DONE)
-    assert took == pytest.approx(0.5 / 1.0 + 1.0 / 2.0, abs=5 * bench.controller.period_s)
-    assert bench.controller.values["actual_q"] == target
-    assert bench.controller.values["actual_qd"] == (0.0,) * 6
-
-
 def test_an_asynchronous_move_counts_operations(bench: Bench) -> None:
     first = bench.output(2)
     took = bench.command(MOVE, (*goal(bench, j1=0.4), 1.0, 2.0), argument=1)
@@ -195,18 +183,6 @@ def test_an_impossible_request_ends_the_program(command: int, doubles: tuple[flo
     bench.until(lambda: bench.controller.runtime is ProgramState.STOPPED)
     assert why in bench.controller.log[-1]
     assert bench.controller.moves == 0
-
-
-@given(st.lists(st.tuples(st.integers(-3, 300), st.floats(allow_nan=True, allow_infinity=True)), max_size=12))
-def test_no_registers_break_the_controller(writes: list[tuple[int, float]]) -> None:
-    bench = Bench()
-    bench.start_script()
-    for command, value in writes:
-        bench.write(command, (value,) * 8, command % 2)
-        bench.cycles(3)
-        bench.write(0)
-        bench.cycles(2)
-    assert all(map(math.isfinite, bench.controller.values["actual_q"]))
 
 
 # -- safety and power --------------------------------------------------------------------------------------------------
@@ -309,18 +285,6 @@ def control_text(offset: int) -> bytes:
         b"    global reg_offset_int = # int register offset\n%d\n"
         b"    while True:\n        sync()\n    end\nend\n"
     ) % (offset, offset)
-
-
-@given(st.lists(st.integers(1, 60), max_size=30))
-def test_a_program_is_found_however_its_text_is_cut(cuts: list[int]) -> None:
-    text = b"# nothing\ntextmsg(1)\n" + control_text(24) + b"def other():\n  movej(q)\nend\n"
-    upload, found, at = Upload(), [], 0
-    for cut in [*cuts, len(text)]:
-        found += upload.take(text[at : at + cut])
-        at += cut
-    assert [program.name for program in found] == ["rtde_control", "other"]
-    assert isinstance(found[0], ControlScript)
-    assert not isinstance(found[1], ControlScript)
 
 
 def test_endless_text_does_not_keep_a_later_program_from_being_found() -> None:

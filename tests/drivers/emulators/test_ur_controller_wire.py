@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import socket
 import struct
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
@@ -13,7 +12,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -24,7 +22,6 @@ from drivers.emulators.ur_controller import (
     ControllerConfig,
     PortName,
     Refused,
-    Series,
     UrControllerServer,
     personality,
     start_in_process,
@@ -146,34 +143,6 @@ def talk(address: tuple[str, int], *lines: str) -> list[str]:
 # -- RTDE --------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("arm", "version"), [("old", (3, 15, 8)), ("new", (5, 11, 1))])
-def test_version_recipes_and_types(emulator: UrControllerServer, arm: str, version: tuple[int, ...]) -> None:
-    with Rtde(at(emulator, arm, "rtde")).agree() as client:
-        assert struct.unpack(">4I", client.ask("v"))[:3] == version
-        names = ["timestamp", "actual_q", "joint_mode", "robot_mode", "safety_status_bits", "actual_digital_input_bits"]
-        assert client.outputs(names) == (1, ["DOUBLE", "VECTOR6D", "VECTOR6INT32", "INT32", "UINT32", "UINT64"])
-        client.start()
-        state = client.state()
-        assert state[1:7] == CB3.home
-        assert state[7:13] == (253.0,) * 6
-        assert state[13:15] == (7, 1)
-
-
-def test_unknown_variables_are_named_and_the_recipe_is_refused(emulator: UrControllerServer) -> None:
-    with Rtde(at(emulator, "old", "rtde")).agree() as client:
-        assert client.outputs(["timestamp", "actual_courage"]) == (0, ["DOUBLE", "NOT_FOUND"])
-        assert client.outputs(["ft_raw_wrench"]) == (0, ["NOT_FOUND"]), "the e-Series has it, CB3 has not"
-        assert client.ask("S") == b"\x00", "there is nothing to start"
-        client.send("O", b"")
-        client.send("?")
-        assert [client.receive()[1][1:13] for _ in range(2)] == [b"the frequenc", b"unknown pack"]
-        assert client.outputs(["actual_TCP_pose"] * 2000) == (0, ["VECTOR6D"] * 2000), "more than a package holds"
-        assert client.inputs(["input_int_register_0", "input_int_register_99"]) == (0, ["INT32", "NOT_FOUND"])
-    with Rtde(at(emulator, "new", "rtde")).agree() as client:
-        assert client.outputs(["ft_raw_wrench"])[0] == 1
-        assert client.ask("P") == b"\x01", "it pauses although it has not begun"
-
-
 def test_an_input_belongs_to_one_connection_until_it_ends(emulator: UrControllerServer, control: Control) -> None:
     address = at(emulator, "old", "rtde")
     with Rtde(address).agree() as first:
@@ -210,37 +179,6 @@ def test_packets_of_the_wrong_length_are_swallowed_or_end_the_link(keep: str) ->
         client.start()
         assert client.state() == (0,)
         assert sum("ignored" in line for line in control("old", "log")) == 3
-
-
-@pytest.mark.parametrize(
-    ("series", "asked_hz", "got_hz"),
-    [("CB3", 500.0, 125), ("CB3", 125.0, 125), ("CB3", 10.0, 10), ("e-Series", 500.0, 500), ("e-Series", 60.0, 60)],
-)
-def test_the_stream_keeps_the_requested_rate_up_to_the_controllers_own(
-    series: Series, asked_hz: float, got_hz: int
-) -> None:
-    bench = Bench(series)
-    answers: list[bytes] = []
-    states: list[bytes] = []
-    session = RtdeSession(RtdeServer(bench.controller), answers.append, states.append, lambda: None)
-    session.received(struct.pack(">HBH", 5, ord("V"), 2))
-    payload = struct.pack(">d", asked_hz) + b"timestamp"
-    session.received(struct.pack(">HB", 3 + len(payload), ord("O")) + payload + struct.pack(">HB", 3, ord("S")))
-    for _ in range(round(2.0 / bench.controller.period_s)):  # two seconds
-        bench.cycles(1)
-        session.cycle()
-    assert abs(len(states) - 2 * got_hz) <= 1
-    stamps = [struct.unpack(">d", state[4:])[0] for state in states]
-    assert np.diff(stamps).max() <= 1.0 / got_hz + 1.01 * bench.controller.period_s
-
-
-def test_other_protocol_versions_are_refused(emulator: UrControllerServer) -> None:
-    with Rtde(at(emulator, "old", "rtde")) as client:
-        assert client.ask("V", struct.pack(">H", 1)) == b"\x00"
-        client.send("O", b"timestamp")
-        assert client.receive()[0] == "M"
-        with pytest.raises(ConnectionResetError):
-            client.receive()
 
 
 @settings(deadline=None)
@@ -287,33 +225,6 @@ def test_the_dashboard_serves_several_clients_and_drops_endless_lines(emulator: 
         assert talk(address, "get robot model")[1] == "UR10"
         idle.sendall(b"x" * 10_000)
         assert lines.read() == ""
-
-
-def test_the_primary_port_streams_states_after_a_version(emulator: UrControllerServer) -> None:
-    with socket.create_connection(at(emulator, "old", "primary"), PATIENT_S) as link:
-        packages: list[tuple[int, bytes]] = []
-        held = b""
-        while len(packages) < 4:
-            held += link.recv(65536)
-            while len(held) >= 5 and len(held) >= struct.unpack_from(">i", held)[0]:
-                size, kind = struct.unpack_from(">iB", held)
-                packages.append((kind, held[5:size]))
-                held = held[size:]
-    assert [kind for kind, _ in packages] == [20, 16, 16, 16]
-    assert subs(packages[1][1]) == [(0, 47), (1, 251), (4, 101), (5, 225), (6, 445)]
-    assert subs(packages[2][1]) == [(0, 47), (1, 251), (4, 101)]
-    q = [struct.unpack_from(">d", packages[2][1], 47 + 5 + 41 * joint)[0] for joint in range(6)]
-    assert q == list(CB3.home)
-
-
-def subs(state: bytes) -> list[tuple[int, int]]:
-    """Types and sizes of the sub-packages of a robot state."""
-    found, at = [], 0
-    while at < len(state):
-        size, kind = struct.unpack_from(">IB", state, at)
-        found.append((kind, size))
-        at += size
-    return found
 
 
 # -- motion ------------------------------------------------------------------------------------------------------------
@@ -460,18 +371,6 @@ def test_no_bytes_break_a_port(emulator: UrControllerServer, control: Control, p
 
 
 # -- the server --------------------------------------------------------------------------------------------------------
-
-
-def test_a_server_leaves_nothing_behind_and_can_start_again() -> None:
-    server = UrControllerServer([CB3])
-    for _ in range(2):
-        before = threading.active_count()
-        with server, socket.create_connection(at(server, "old", "primary"), PATIENT_S):
-            address = at(server, "old", "dashboard")
-            assert talk(address, "get robot model")[1] == "UR10"
-        assert threading.active_count() == before
-        with pytest.raises(ConnectionRefusedError):
-            socket.create_connection(address, PATIENT_S)
 
 
 def test_a_server_stays_on_this_machine_and_names_a_port_in_use() -> None:

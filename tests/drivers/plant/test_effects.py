@@ -7,8 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.optimize import root
 
 from drivers.plant import ONLY_MOVING, OUTSIDE, REALISTIC, gravity_torques, suggest, suggest_other_law
@@ -23,43 +21,6 @@ FAST = {"speed": np.full(6, 2.0), "acceleration": np.full(6, 3.0)}
 def _go(plant, q):
     plant.start_move("left", np.asarray(q, dtype=float), **FAST)
     plant.advance(max(plant.rest_s("left") - plant.clock_s, 0.0))
-
-
-def test_the_eccentric_disc_reads_the_commanded_angle(make_arm, make_plant):
-    """The head's reading, computed from the true shaft angle, is the angle that the controller reports."""
-    e, r, phase = 4e-4, 0.02, 0.7  # far too large, so that a mere sine would be seen
-    values = {"joints": [1], "eccentricity": [e], "radius": [r], "phase": [phase]}
-    arm = make_arm(effects={"encoder_eccentricity": values})
-    q = np.zeros((73, 6))
-    q[:, 0] = np.linspace(-2 * np.pi, 2 * np.pi, 73)
-    plant = make_plant(arm)
-    # joint 1 turns about the vertical through the base: the shaft angle shows in the azimuth about it
-    around = [
-        p.smr_positions("left", q) @ p.true_T_M_B("left")[:3, :3] - p.true_T_M_B("left")[:3, 3]
-        for p in (plant, make_plant())
-    ]
-    bent, ideal = (np.arctan2(p[:, 1], p[:, 0]) for p in around)
-    miss = (bent - ideal + np.pi) % (2 * np.pi) - np.pi
-    shaft = q[:, 0] + miss
-    reading = shaft + np.arctan2(e * np.sin(shaft + phase), r - e * np.cos(shaft + phase))
-    assert np.abs(reading - q[:, 0]).max() < 1e-13
-    assert np.abs(miss).max() == pytest.approx(e / r, rel=1e-3)
-
-
-@settings(max_examples=30, deadline=None)
-@given(goals=st.lists(st.integers(-6, 6), min_size=1, max_size=12), play=st.floats(1e-4, 0.3))
-def test_play_drags_the_joint_behind_the_drive(make_arm, make_plant, goals, play):
-    arm = make_arm(effects={"backlash": {"play": [play, 0, 0, 0, 0, 0]}})
-    plant, ideal = make_plant(arm), make_plant()
-    joint = 0.0
-    for goal in goals:
-        drive = 0.1 * goal
-        _go(plant, [drive, 0, 0, 0, 0, 0])
-        # dragged at the edge of the dead band, still inside it
-        joint = max(min(joint, drive + play / 2), drive - play / 2)
-        expected = ideal.smr_positions("left", np.array([[joint, 0, 0, 0, 0, 0]]))[0]
-        assert np.abs(plant.targets()[0].p_M - expected).max() < 1e-12
-        assert plant.q("left")[0] == drive
 
 
 # -- Suggested parameters are valid, repeatable and of realistic size --------------------------------------------------

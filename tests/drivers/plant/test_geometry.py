@@ -9,14 +9,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
 from cellapp.robot.kinematics.chain import parameter_names, smr_positions
-from drivers.plant import ArmConfig, CapsuleConfig, Plant, TrueErrors
-from drivers.plant.clearance import segment_distances
-from drivers.plant.mechanism import nominal, with_errors
-from drivers.plant.transforms import across, inverse, quaternion, rigid, transform_points
+from drivers.plant import ArmConfig, CapsuleConfig, Plant
+from drivers.plant.transforms import quaternion, rigid, transform_points
 from drivers.trackers.simulated import SimulatedTracker
 from tests.arms import OFF_AXIS, UR10, at_station, plant_of
 from tests.evidence.shared.changes import lengthened, link_moved, zero_shifted
@@ -45,50 +42,6 @@ def test_a_perfect_cell_is_its_dh_chain(make_arm, make_config, make_plant, dh_sm
     assert np.abs(found - dh_smr(make_config(arm), q)).max() < 1e-12
 
 
-def test_each_axis_is_displaced_and_tilted_by_the_configured_sizes(make_arm):
-    drawn = nominal(make_arm())
-    errors = TrueErrors(length=3e-4, angle=1e-3, smr=2e-3)
-    cells = [with_errors(drawn, errors, np.random.default_rng(seed)) for seed in range(400)]
-    shift = np.array([cell.points for cell in cells]) - drawn.points
-    assert np.abs((shift * drawn.directions).sum(axis=-1)).max() < 1e-18
-    sideways = across(drawn.directions)
-    # 400 draws of 12 coordinates: 1.02 % relative error of a standard deviation; five of them are allowed
-    assert np.einsum("njx,jkx->njk", shift, sideways).std() == pytest.approx(3e-4, rel=0.05)
-    tilt = np.array([np.cross(drawn.directions, cell.directions) for cell in cells])
-    assert np.einsum("njx,jkx->njk", tilt, sideways).std() == pytest.approx(1e-3, rel=0.05)
-    assert np.abs(np.linalg.norm([cell.directions for cell in cells], axis=-1) - 1).max() < 1e-14
-    assert np.std([cell.zeros for cell in cells]) == pytest.approx(1e-3, rel=0.08)
-    assert np.std([cell.smr - drawn.smr for cell in cells]) == pytest.approx(2e-3, rel=0.11)
-
-
-def test_base_errors_have_the_configured_sizes(make_arm, make_plant):
-    errors = TrueErrors(base_length=5e-3, base_angle=4e-3)
-    arm = make_arm()
-    off = [inverse(arm.T_C_B) @ make_plant(arm, seed=s, errors=errors).true_T_C_B("left") for s in range(300)]
-    assert np.std([pose[:3, 3] for pose in off]) == pytest.approx(5e-3, rel=0.12)
-    turns = Rotation.from_matrix([pose[:3, :3] for pose in off]).as_rotvec()
-    assert turns.std() == pytest.approx(4e-3, rel=0.12)
-
-
-def test_the_seed_alone_decides_the_cell(make_arm, make_plant):
-    errors = TrueErrors(3e-4, 1e-3, 5e-3, 5e-3, 1e-3)
-    q = np.random.default_rng(0).uniform(-3, 3, (10, 6))
-    first = make_plant(seed=5, errors=errors).smr_positions("left", q)
-    assert np.array_equal(first, make_plant(seed=5, errors=errors).smr_positions("left", q))
-    assert np.abs(first - make_plant(seed=6, errors=errors).smr_positions("left", q)).min(axis=0).max() > 1e-5
-
-
-def test_a_second_arm_or_another_size_changes_no_other_draw(make_arm, make_plant):
-    left, right = make_arm(), make_arm("ur5", "right", 1.2)
-    q = np.random.default_rng(0).uniform(-3, 3, (10, 6))
-    errors = TrueErrors(length=3e-4, angle=1e-3)
-    alone = make_plant(left, errors=errors).smr_positions("left", q)
-    assert np.array_equal(alone, make_plant(left, right, errors=errors).smr_positions("left", q))
-    offset = make_plant(left, errors=TrueErrors(smr=1e-3)).true_mechanism("left").smr
-    both = make_plant(left, errors=TrueErrors(length=1e-2, smr=1e-3)).true_mechanism("left").smr
-    assert np.array_equal(offset, both)
-
-
 def test_a_configuration_of_the_wrong_shape_is_named(make_arm, make_config):
     with pytest.raises(ValueError, match=r"arm left: masses has shape \(5,\), expected \(6,\)"):
         make_arm(masses=np.ones(5))
@@ -108,22 +61,6 @@ def test_an_unknown_arm_is_named(make_plant):
 # -- Optional arguments of ``Plant.smr_positions`` and their effect ----------------------------------------------------
 
 Q = np.random.default_rng(4).uniform(-2.5, 2.5, (6, 6))
-SOFT = {"joint_compliance": {"stiffness": [4e4] * 6}}
-
-
-def test_each_stop_may_have_its_own_load(make_arm, make_plant):
-    masses = np.array([0.0, 0.5, 1.0, 5.0, 8.0, 10.0])
-    centers = np.random.default_rng(0).uniform(-0.1, 0.1, (6, 3))
-    found = make_plant(make_arm(effects=SOFT)).smr_positions("left", Q, payload=masses, payload_center=centers)
-    for k in range(6):
-        alone = make_plant(make_arm(effects=SOFT, payload_mass=masses[k], payload_center=centers[k]))
-        assert np.abs(alone.smr_positions("left", Q[[k]])[0] - found[k]).max() < 1e-11
-    lighter = make_plant(make_arm(effects=SOFT)).smr_positions("left", Q)
-    assert np.abs(found - lighter)[5].max() > 1e-4
-    # the load hung on the flange by the driver's call is the same thing
-    hung = make_plant(make_arm(effects=SOFT))
-    hung.set_payload("left", 5.0, centers[3])
-    assert np.abs(hung.smr_positions("left", Q[[3]])[0] - found[3]).max() < 1e-11
 
 
 @pytest.mark.parametrize(
@@ -158,25 +95,12 @@ def test_a_moved_tracker_sees_the_same_cell_from_elsewhere(make_plant):
 # -- The collision monitor against distances from dense sampling -------------------------------------------------------
 
 SPEED, ACCELERATION = np.full(6, 2.0), np.full(6, 3.0)
-coordinates = arrays(np.float64, (4, 3), elements=st.integers(-4, 4).map(lambda k: k / 4))
 
 
 def _slow(a, b, c, d, count=201):
     share = np.linspace(0, 1, count)[:, None]
     p, q = a + share * (b - a), c + share * (d - c)
     return np.linalg.norm(p[:, None] - q[None], axis=-1).min()
-
-
-@settings(max_examples=150, deadline=None)
-@given(points=coordinates)
-def test_segment_distances_are_those_of_their_nearest_points(points):
-    a, b, c, d = points
-    found = segment_distances(a, b, c, d)
-    slow = _slow(a, b, c, d)
-    # the samples lie within half a step of the nearest points, along both segments
-    step = 0.5 * (np.linalg.norm(b - a) + np.linalg.norm(d - c)) / 200
-    assert found <= slow + 1e-12
-    assert found >= slow - step - 1e-12
 
 
 def _capsules(arm, frames):

@@ -332,7 +332,7 @@ def a_slow_tracker_is_waited_for_longer_than_the_link_may_be_silent():
     slow = SlowTracker()
     with TrackerService(slow) as bridge, client(bridge.url, timeout_s=1.5) as tracker:
         outcome = in_thread(lambda: tracker.measure(NEST, 1.0))
-        assert slow.begun.wait(5.0)
+        assert slow.begun.wait(PATIENT_S)
         threading.Timer(1.7, slow.may_end.set).start()
         assert outcome().p_M == pytest.approx(NEST)
     assert slow.calls == 1
@@ -343,7 +343,7 @@ def halt_ends_the_running_measurement():
     slow = SlowTracker()
     with TrackerService(slow) as bridge, client(bridge.url, timeout_s=2.0) as tracker:
         outcome = in_thread(lambda: tracker.measure(NEST, 1.0))
-        assert slow.begun.wait(5.0)
+        assert slow.begun.wait(PATIENT_S)
         tracker.halt()
         assert isinstance(outcome(), Halted)
         slow.may_end.set()
@@ -354,7 +354,7 @@ def a_client_that_reconnects_gets_the_running_measurement():
     slow = SlowTracker()
     with TrackerService(slow) as bridge, client(bridge.url) as tracker:
         outcome = in_thread(lambda: tracker.measure(NEST, 1.0))
-        assert slow.begun.wait(5.0)
+        assert slow.begun.wait(PATIENT_S)
         dropped = threading.Event()
 
         def drop():
@@ -363,7 +363,7 @@ def a_client_that_reconnects_gets_the_running_measurement():
             dropped.set()
 
         bridge.call_soon(drop)
-        assert dropped.wait(5.0)
+        assert dropped.wait(PATIENT_S)
         threading.Timer(1.0, slow.may_end.set).start()
         assert outcome().p_M == pytest.approx(NEST)
     assert slow.calls == 1

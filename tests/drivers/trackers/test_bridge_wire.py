@@ -40,7 +40,7 @@ from drivers.trackers.protocol import (
     stream_of,
 )
 from tests.drivers.trackers.virtual_serial_cable import serial_cable
-from tests.waiting import within
+from tests.waiting import until, within
 
 DOCUMENT = Path(wire.__file__).with_name("BRIDGE.md")
 
@@ -266,9 +266,7 @@ def passes(plant: Any, tracker: StreamingBridgeTracker, seconds: float) -> None:
 
 def asked(tracker: StreamingBridgeTracker) -> None:
     """Ask as a monitor does, until it fails."""
-    deadline_s = time.monotonic() + 5.0
-    while time.monotonic() < deadline_s:
-        tracker.confirm(0.5)
+    until(lambda: tracker.confirm(0.5), "the tracker's link fails")
 
 
 @pytest.mark.parametrize("kind", ["tcp", "serial"])

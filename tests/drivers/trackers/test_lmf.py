@@ -226,17 +226,6 @@ def test_every_precondition_is_named(tracker: Make, scene: Scene) -> None:
     assert driver.unmet()[0] == "its laser is off: switch it on and let it warm up"
 
 
-def test_it_is_initialised_where_needed(tracker: Make, scene: Scene) -> None:
-    scene.initialised = False
-    driver = tracker()
-    driver.prepare(Preparation(accuracy="fast"))
-    assert scene.calls.count("Initialize") == 1
-    assert driver.unmet() == []
-    driver.prepare(Preparation(accuracy="fast"))
-    assert scene.calls.count("Initialize") == 1
-    assert str(tree(scene).Measurement.Profiles.Selected.Accuracy.Value) == "Fast"
-
-
 def test_level(tracker: Make, scene: Scene) -> None:
     driver = tracker(address="AT960Simulator", gravity=True)
     driver.prepare(Preparation())
@@ -262,22 +251,6 @@ def test_notices(tracker: Make, scene: Scene) -> None:
 
 
 # -- measuring --------------------------------------------------------------------------------------------------------
-
-
-def test_a_point(tracker: Make, scene: Scene) -> None:
-    driver = tracker()
-    began_s = time.monotonic()
-    first = driver.measure(LEFT + 0.004, 1.0)
-    took_s = time.monotonic() - began_s
-    second = driver.measure(RIGHT, 1.0)
-    assert first.p_M == pytest.approx(LEFT, abs=1e-12)  # metres, independent of LMF's defaults
-    assert second.p_M == pytest.approx(RIGHT, abs=1e-12)
-    assert (first.temperature_c, first.pressure_hpa, first.humidity_percent) == (21.5, 1009.0, 41.0)
-    assert first.reflector == "BRR 1.5in"
-    assert first.time_s < second.time_s
-    assert 0.0 <= first.averaging_s <= took_s  # the tracker decides; it is what the call took
-    assert first.quality == ("Head moved (LMF 8)",)
-    assert driver.notices()[-1] == "Head moved (LMF 8)"
 
 
 def test_averaging_time_set_by_the_caller(tracker: Make, scene: Scene) -> None:

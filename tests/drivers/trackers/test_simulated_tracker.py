@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drivers.arms.simulated import CYCLE_S, SimulatedArm
-from drivers.plant.optics import covariances, why_hidden
+from drivers.plant.optics import why_hidden
 from drivers.trackers.imperfections import Imperfections, refractivity
 from drivers.trackers.protocol import (
     PACKETS_HZ,
@@ -55,33 +55,6 @@ def test_the_noise_is_half_the_permissible_error_along_and_across_the_beam(make_
     assert covariance[7] == pytest.approx(expected, rel=1e-12, abs=1e-24)
 
 
-def test_without_noise_the_point_is_the_truth_and_the_covariance_stays(make_config, make_plant, dh_smr):
-    plant = make_plant()
-    q = np.random.default_rng(0).uniform(-2, 2, (1, 6))
-    plant.start_move("left", q[0], SPEED, ACCELERATION)
-    plant.advance(10.0)
-    truth = dh_smr(make_config(), q)
-    point = _ready(plant).measure(truth[0] + 0.01, 2.0)
-    assert np.abs(point.p_M - truth[0]).max() < 1e-12
-    expected = covariances(plant.config.tracker, truth, 2.0)[0]
-    assert point.covariance_M == pytest.approx(expected, rel=1e-9)
-    assert point.averaging_s == 2.0
-
-
-def test_the_same_seed_reads_the_same_and_time_passes(make_plant):
-    def readings(seed):
-        plant = make_plant(noise=True, seed=seed)
-        tracker = _ready(plant)
-        points = [tracker.measure(_smr(plant), 1.5) for _ in range(3)]
-        assert np.diff([point.time_s for point in points]) == pytest.approx(2.0)
-        assert points[0].temperature_c == pytest.approx(20.0, abs=0.5)
-        return np.array([point.p_M for point in points])
-
-    assert np.array_equal(readings(3), readings(3))
-    assert not np.array_equal(readings(3), readings(4))
-    assert np.ptp(readings(3), axis=0).min() > 0.0
-
-
 @pytest.mark.parametrize(
     ("field", "p", "normal", "why"),
     [
@@ -107,15 +80,6 @@ def test_the_field_of_view_has_its_edges(make_config, field, p, normal, why):
     assert bool(found) == bool(why)
 
 
-def test_nothing_there_is_lost(make_plant):
-    plant = make_plant()
-    tracker = _ready(plant)
-    here, up = _smr(plant), np.array([0.0, 0.0, 1.0])
-    assert tracker.measure(here + 0.099 * up, 1.0).p_M == pytest.approx(here)
-    with pytest.raises(TargetLost, match=r"no SMR within 100 mm of \([-0-9., ]+\) m$"):
-        tracker.measure(here + 0.101 * up, 1.0)
-
-
 def test_the_nearest_visible_smr_is_locked_whosever_it_is(make_arm, make_plant):
     plant = make_plant(make_arm(), make_arm("ur10", "right", 0.06))  # two arms in one another, 60 mm apart
     tracker = _ready(plant)
@@ -128,19 +92,6 @@ def test_the_nearest_visible_smr_is_locked_whosever_it_is(make_arm, make_plant):
     tracker.covered.add("right")
     with pytest.raises(TargetLost, match="arm left is there, but something covers it; that of arm right"):
         tracker.measure(left, 1.0)
-
-
-def test_a_moving_target_is_unstable_a_moving_neighbour_is_not(make_arm, make_plant):
-    plant = make_plant(make_arm(), make_arm("ur5", "right", 1.2))
-    tracker, arm = _ready(plant), SimulatedArm(plant, "left")
-    arm.connect()
-    here = _smr(plant, "left")
-    arm.start_move(np.array([0, 0, 0, 0, 0, 3.0]), SPEED, ACCELERATION)
-    assert tracker.measure(_smr(plant, "right"), 1.0).p_M == pytest.approx(_smr(plant, "right"))
-    with pytest.raises(Unstable, match="the SMR of arm left moved while it was measured"):
-        tracker.measure(here, 1.0)
-    arm.wait_settled(10.0)
-    assert tracker.measure(here, 1.0).p_M == pytest.approx(_smr(plant, "left"))
 
 
 # -- line of sight -----------------------------------------------------------------------------------------------------
@@ -273,7 +224,7 @@ def test_refraction_that_is_not_corrected_scales_the_cell(make_plant):
     assert (point.temperature_c, point.pressure_hpa) == (20.0, 1013.25)
     assert point.quality == ("no weather station: refraction was corrected for standard air",)
 
-    blind.prepare(Preparation(temperature_c=plant.air_temperature_c, pressure_hpa=940.0, humidity_percent=30.0))
+    blind.prepare(Preparation(temperature_c=plant.air_c, pressure_hpa=940.0, humidity_percent=30.0))
     by_hand, point = scale_ppm(blind)
     assert by_hand == pytest.approx(0.0, abs=0.01)
     assert point.quality == ()

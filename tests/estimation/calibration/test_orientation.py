@@ -15,7 +15,7 @@ from cellapp.cell.profile import load_profile
 from cellapp.cell.targets.compensate import compensate
 from cellapp.cell.targets.invert import invert_model
 from cellapp.cell.targets.targets import targets_in_memory
-from cellapp.commands.calibrate.result import calibrate_result, pair_result
+from cellapp.commands.calibrate.result import calibrate_result
 from cellapp.commands.calibrate.view import cooperative_noise_mrad
 from cellapp.commands.calibrate.view import view as calibrate_view
 from cellapp.estimation.calibration.calibrate import calibrate_arm, calibrate_readings, train_arm
@@ -214,7 +214,7 @@ def test_two_probes_calibrate_the_pair_in_orientation(six, learnt):
     assert alone.cooperative_mrad is None
     for name in ("theta", "beta", "alpha"):
         assert geometry.identified[name].standard_error < 0.7 * alone.identified[name].standard_error
-    after: Any = pair_result(found.pair)["effects"].cooperative_mrad
+    after: Any = found.pair.methods["effects"].cooperative_mrad
     assert cooperative_noise_mrad(result) == pytest.approx(np.sqrt(6.0) * 0.04)
     assert after.rms < 1.2 * np.sqrt(6.0) * 0.04
 

@@ -7,8 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from cellapp.cell.profile import load_profile
 from cellapp.commands.calibrate.result import arm_result
@@ -19,19 +17,11 @@ from cellapp.estimation.calibration.calibrate import (
     calibrate_readings,
     left_out_words,
     sample_splits,
-    split_sizes,
     train_arm,
 )
-from cellapp.estimation.calibration.quantities import (
-    distance_errors,
-    evaluate,
-    position_errors,
-    repeatability,
-    summarise,
-)
+from cellapp.estimation.calibration.quantities import position_errors
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.readings.readings import FIRST_SAMPLE
-from cellapp.ground.results import ErrorSummary
 from cellapp.robot.kinematics.chain import smr_positions
 from tests.cell.run.small_runs import import_csv
 from tests.evidence import coverage
@@ -39,72 +29,8 @@ from tests.evidence.gross_errors import disturbed
 from tests.evidence.shared.series import Entrant, load_entrant
 
 
-def interval_of_mean(summary: ErrorSummary) -> tuple[float, float]:
-    """The bootstrap interval of the mean [mm], which must be there."""
-    assert summary.mean_ci95 is not None
-    return summary.mean_ci95
-
-
-@given(st.integers(2, 600), st.integers(1, 300), st.integers(0, 300), st.one_of(st.none(), st.integers(1, 300)))
-def test_split_sizes_fit_and_neither_identify_nor_validate_is_empty(n, identify, train, validate):
-    sizes = split_sizes(n, identify, train, validate)
-    assert sizes.identify + sizes.train + sizes.validate <= n
-    assert sizes.identify >= 1
-    assert sizes.validate >= 1
-    assert sizes.identify <= identify
-    assert sizes.train <= train
-    fits = identify + train + (validate or 1) <= n
-    assert (sizes.notes == ()) == fits
-    if fits and validate is not None:
-        assert (sizes.identify, sizes.train, sizes.validate) == (identify, train, validate)
-    if validate is None:
-        assert sizes.identify + sizes.train + sizes.validate == n
-
-
-@given(st.sets(st.integers(0, 10_000), min_size=5, max_size=80), st.integers(0, 100))
-def test_the_draw_depends_on_the_numbers_and_the_seed_alone(numbers, seed):
-    ordered = np.array(sorted(numbers))
-    shuffled = np.random.default_rng(1).permutation(np.concatenate([ordered, ordered]))  # both arms, any order
-    assert sample_splits(ordered, 2, 1, 1, seed) == sample_splits(shuffled, 2, 1, 1, seed)
-
-
 def test_another_seed_gives_another_draw():
     assert sample_splits(np.arange(400), 100, 200, 100, 0)[0] != sample_splits(np.arange(400), 100, 200, 100, 1)[0]
-
-
-def test_errors_on_a_worked_example():
-    measured = np.array([[0.0, 0, 0], [1.0, 0, 0], [0, 1.0, 0]])
-    computed = np.array([[0.0, 0, 0], [1.003, 0.004, 0], [0, 1.0, 0]])
-    np.testing.assert_allclose(position_errors(measured, computed), [0, 0.005, 0], atol=1e-12)
-    expected = [np.hypot(1.003, 0.004) - 1.0, 0.0, abs(np.hypot(1.003, 0.996) - np.sqrt(2.0))]
-    np.testing.assert_allclose(distance_errors(measured, computed), expected, atol=1e-12)
-    summary = summarise(np.array([0.001, -0.003]))
-    assert (summary.mean, summary.max, summary.n) == pytest.approx((2.0, 3.0, 2))
-    assert summary.rms == pytest.approx(np.sqrt(5.0))
-    assert summary.std == pytest.approx(np.sqrt(2.0))
-    assert evaluate(measured[:1], computed[:1], measured[:1]).distance_mm is None
-
-
-def test_the_bootstrap_interval_of_the_mean_has_its_stated_coverage():
-    held = 0
-    for seed in range(300):
-        errors = np.random.default_rng(seed).exponential(1e-3, 100)
-        low, high = interval_of_mean(summarise(errors))
-        held += low <= 1.0 <= high
-    assert 0.90 < held / 300 < 0.98
-
-
-def test_repeatability_is_that_of_the_repeats_alone():
-    rng = np.random.default_rng(0)
-    q = np.repeat(rng.uniform(-3, 3, (40, 6)), 10, axis=0)
-    p_M = np.repeat(rng.normal(size=(40, 3)), 10, axis=0) + rng.normal(0.0, 20e-6, (400, 3))
-    found = repeatability(q, p_M)
-    assert found is not None
-    assert found.n == 400
-    # mean length of three normal numbers is 1.596 sigma; the barycentre of ten takes a root of 0.9 off
-    assert found.mean == pytest.approx(1.596 * 0.020 * np.sqrt(0.9), rel=0.05)
-    assert found.rp > found.mean
-    assert repeatability(rng.uniform(-3, 3, (40, 6)), p_M[:40]) is None
 
 
 # -- Figures that the project promises, each with its limit ------------------------------------------------------------
@@ -199,7 +125,7 @@ def test_no_network_is_trained_or_judged_on_rows_left_out(ur5: Entrant) -> None:
     trained = train_arm(profile, arm, spoilt)
     without = train_arm(profile, arm, spoilt.take(np.setdiff1d(np.arange(len(spoilt)), rows)))
     assert trained.training is not None
-    assert trained.training.left_out_rms == without.training.left_out_rms  # type: ignore[union-attr]
+    assert trained.training.result.left_out_rms_mm == without.training.result.left_out_rms_mm  # type: ignore[union-attr]
     assert trained.validate == without.validate
     result = arm_result(trained)
     assert sorted(result.left_out_configurations) == sorted(spoilt.configuration[rows].tolist())
@@ -227,9 +153,9 @@ def test_the_whole_cell_leaves_them_out_of_the_pair(twin_readings: tuple) -> Non
     assert plain.pair is not None
     assert found.pair is not None
     for method in found.pair.methods:
-        means = [np.abs(pair.methods[method].errors["distances"]).mean() for pair in (found.pair, plain.pair)]
+        means = [pair.methods[method].by_transform_mm["distances"].mean for pair in (found.pair, plain.pair)]
         assert means[0] < 1.3 * means[1], "other stops are drawn"
-    assert not np.isin(found.pair.stops, [3, 60]).any()
+    assert not {3, 60} & {*found.pair.methods["nominal"].held_out.configuration}
 
 
 @pytest.fixture(scope="module")

@@ -27,7 +27,6 @@ from cellapp.estimation.design.block_design import (
     largest_gaps,
     least_informative_last,
     reference_errors,
-    without_turns,
 )
 from cellapp.ground.progress import UNTOLD
 
@@ -67,7 +66,7 @@ def test_updates_equal_fresh_inverses(seed: int) -> None:
 
 
 @given(st.integers(0, 1000))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=8, deadline=None)
 def test_exchange_never_makes_a_choice_worse(seed: int) -> None:
     candidates, criterion = problem(seed)
     values = []
@@ -110,12 +109,6 @@ def test_a_choice_does_not_depend_on_units_nor_on_the_order_of_candidates() -> N
     assert set(order[again]) == set(plain)
 
 
-def test_the_seed_makes_the_choice() -> None:
-    candidates, criterion = problem()
-    first, second = (choose_blocks(candidates, COUNT, criterion, np.random.default_rng(4)) for _ in range(2))
-    np.testing.assert_array_equal(first, second)
-
-
 def test_the_last_stops_tell_least() -> None:
     candidates, criterion = problem()
     chosen = choose_blocks(candidates, COUNT, criterion, np.random.default_rng(1))
@@ -140,7 +133,7 @@ from cellapp.estimation.design.block_design import (
 )
 rng = np.random.default_rng(0)
 rows = np.repeat(rng.normal(size=(150, 3, 20)), 2, axis=0)
-rows *= 1.0 + 1e-7 * rng.normal(size=(300, 1, 1))  # each candidate has a rival that tells as much, nearly
+rows *= 1.0 + 1e-7 * rng.normal(size=(300, 1, 1))  # each candidate has an alternative that tells as much, nearly
 candidates = Candidates(rows, np.eye(20))
 reference = reference_errors(candidates.mean_information, 40, candidates.prior, 15)
 criterion = Criterion(reference, rng.normal(size=(50, 3, 20)))
@@ -214,23 +207,3 @@ def test_gaps_are_closed_at_little_loss() -> None:
     assert np.all(largest_gaps(q[found]) <= limits)
     assert lost < 0.1 * sum(SHARES)
     assert len(np.setdiff1d(found, chosen)) < COUNT_OF_GAPS / 2
-
-
-def test_a_part_without_candidates_is_left_and_the_rest_is_covered() -> None:
-    _, q, _, _ = clustered()
-    q = q.copy()
-    q[:, 0] = np.where(q[:, 0] > 0.0, q[:, 0] + 1.0, q[:, 0])
-    limits = gap_limits(q, COUNT_OF_GAPS, None)
-    assert limits[0] == pytest.approx(GAP_OF_EVEN_STOPS * 4.0 / COUNT_OF_GAPS, rel=0.05), (
-        "the empty part counts for nothing"
-    )
-    found, _ = closed(q, limits)
-    gaps = np.sort(np.diff(np.sort(q[found, 0])))
-    assert gaps[-1] > 1.0
-    assert gaps[-2] <= limits[0]
-
-
-def test_whole_turns_do_not_count() -> None:
-    _, q, _, chosen = clustered()
-    angular = q[chosen] + 2.0 * np.pi * np.random.default_rng(0).integers(-1, 2, (COUNT_OF_GAPS, 2))
-    np.testing.assert_allclose(without_turns(angular, q), q[chosen], atol=1e-12)

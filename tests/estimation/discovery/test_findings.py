@@ -82,7 +82,7 @@ def errors(after_mm: float) -> BeforeAfter:
         ([accepted()], 0.3, None, STRUCTURE, "unknown effect"),
     ],
 )
-def test_the_verdict_follows_from_effects_rivals_and_what_is_left(effects, after_mm, scatter, structure, word) -> None:
+def test_the_verdict_follows_from_effects_and_residuals(effects, after_mm, scatter, structure, word) -> None:
     found, sentence = verdict(effects, 0.1, errors(after_mm), 100, scatter, structure)
     assert found == word
     assert ("state no uncertainty" in sentence) == (scatter is None)

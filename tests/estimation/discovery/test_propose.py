@@ -264,7 +264,7 @@ def test_a_score_at_the_threshold_leaves_it_open():
         assert found.effects["backlash"] == pytest.approx(probability)
 
 
-def test_rivals_that_tie_share_the_probability():
+def test_alternatives_that_tie_share_the_probability():
     tied = review("backlash", 900.0, unsettled_measurement=900.0, friction_windup=300.0, base_step=-math.inf)
     found = posteriors([tied, review("joint_compliance", 400.0)], {}, THRESHOLD, COORDINATES)
     np.testing.assert_allclose(found.terms, (0.5, 1.0), atol=1e-3)

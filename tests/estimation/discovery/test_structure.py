@@ -33,7 +33,6 @@ from cellapp.estimation.discovery.process import (
     CURVE_LENGTHS,
     Component,
     Hyperparameters,
-    ProcessData,
     ProcessEvidence,
     first_guess,
     fit_process,
@@ -356,7 +355,7 @@ def plain(rng):
 
 def gathered(components, y):
     rows = np.concatenate([one.rows for one in components])
-    return ProcessData(rows @ rows.T, rows @ y, float(y @ y), float(N))
+    return replace(NormalMatrix.of(rows, y), coordinates=float(N))
 
 
 def simulated(rng, components, values):

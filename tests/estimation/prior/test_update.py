@@ -21,9 +21,9 @@ from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of, stage_in_force
 from cellapp.estimation.calibration.identification import identify
 from cellapp.estimation.calibration.parameters import candidate_columns, weak_priors
-from cellapp.estimation.calibration.quantities import ArmReadings, measurement_conditions
+from cellapp.estimation.calibration.quantities import ArmReadings, measured_quantities
 from cellapp.estimation.calibration.records import CalibrateResult
-from cellapp.estimation.prior.belief import Belief, Measured, is_own, posterior
+from cellapp.estimation.prior.belief import Belief, is_own, posterior
 from cellapp.estimation.prior.calibrate import Earlier, SearchWithPriors, believed, stated_model, updated_arm
 from cellapp.estimation.prior.update import Updated, first_model, update
 from cellapp.ground.errors import InputError, NotConverged
@@ -50,11 +50,11 @@ def error_um(arm: SimulatedArm, outcome: Updated) -> float:
 
 def test_readings_without_information_return_the_prior(arm: SimulatedArm, earlier: Earlier) -> None:
     readings = replace(arm.readings(20, seed=3), sigma_m=np.full(20, 1e4))
-    measured = Measured.of(readings, measurement_conditions(readings))
+    measured = replace(measured_quantities(readings), sigma=readings.sigma_m)
     belief = earlier.belief
     model = first_model(arm.profile, "left", measured, belief)
     prior = belief.prior(model.nominal, np.zeros(0))
-    after = Belief.of(posterior(model, measured, prior, scatter_m=0.0), np.ones(len(prior.mean)))
+    after = Belief.of(posterior(model, measured, prior, weighed=True), np.ones(len(prior.mean)))
     absolute = [one.nominal.vector()[list(one.columns)] for one in (belief, after)]
     K = len(belief.columns)
     before_mean = np.concatenate([absolute[0] + belief.mean[:K], belief.mean[K:]])
@@ -67,14 +67,14 @@ def test_readings_without_information_return_the_prior(arm: SimulatedArm, earlie
 def test_a_belief_that_knows_nothing_gives_the_geometry_of_today(arm: SimulatedArm) -> None:
     bare = replace(arm, model=replace(arm.model, effects=()))
     readings = bare.readings(40, seed=4)
-    measured = Measured.of(readings, measurement_conditions(readings))
+    measured = replace(measured_quantities(readings), sigma=readings.sigma_m)
     weak = weak_priors(6)
     columns = tuple(column for column in candidate_columns(arm.model.nominal) if is_own(column, 6))
     sigma = np.array([weak[parameter_names(6)[column]] for column in columns])
     belief = Belief(arm.model.nominal, columns, (), np.zeros(len(sigma)), np.diag(sigma**2), sigma)
     model = first_model(arm.profile, "left", measured, belief)
     prior = belief.prior(model.nominal, np.zeros(0))
-    found = posterior(model, measured, prior, scatter_m=0.0)
+    found = posterior(model, measured, prior, weighed=True)
     today = identify(
         model.geometry, readings.q, readings.p_M, sigma=readings.sigma_m, prior_sigma=weak_priors(6),
         prior_mean=model.nominal,

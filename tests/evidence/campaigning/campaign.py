@@ -15,7 +15,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.planning.plan import plan_stops
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.gate import CellBodies, refuse_motion
@@ -31,6 +30,7 @@ from tests.evidence.campaigning.monitor import Failure
 from tests.evidence.campaigning.oracle import ArmEstimate, judge
 from tests.evidence.campaigning.world import Endless, SimulatedControl, World
 from tests.evidence.shared.cells import bare
+from tests.verbs import collect_by
 
 Plan = Mapping[str, NDArray[np.float64]]
 """Arm -> joint positions (n, N) [rad] of the planned stops and the reserves after them."""
@@ -240,7 +240,7 @@ def _session(world: World, sessions: _Sessions, control: SimulatedControl) -> No
     run = world.begin(control)
     try:
         with control.heard_by(lambda event, _: world.person.hear(event)):
-            summary = collect_run(run, control, resume=bool(sessions.last), opened=world.opened)
+            summary = collect_by(world.opened, run, control, resume=bool(sessions.last))
         sessions.count(summary.outcome)
     except ProgramKilled:
         sessions.count("killed")

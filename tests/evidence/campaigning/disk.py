@@ -12,7 +12,7 @@ from typing import Literal
 
 from cellapp.cell.run import Outcome, RunFile
 from cellapp.cell.run.sqlite_file import FILE_NAME
-from cellapp.estimation.readings import Reading
+from cellapp.estimation.readings import Readings
 from drivers.plant import Plant
 from tests.evidence.campaigning.doubles import Process
 from tests.evidence.campaigning.monitor import Monitor
@@ -82,11 +82,11 @@ class CampaignRun(RunFile):
             self.disk.reach("before its commit")
         self.disk.reach("after its commit")
 
-    def add_stop(self, configuration: int, rows: Mapping[str, Reading], outcomes: Sequence[Outcome] = ()) -> None:
+    def add_stop(self, configuration: int, rows: Mapping[str, Readings], outcomes: Sequence[Outcome] = ()) -> None:
         """Store a stop, and record that it was reported as stored."""
         super().add_stop(configuration, rows, outcomes)
         if self.disk is not None:
-            self.disk.monitor.reported(configuration, {name: reading.p_M for name, reading in rows.items()})
+            self.disk.monitor.reported(configuration, {name: reading.p_M[0] for name, reading in rows.items()})
 
 
 def copy_run(folder: Path, to: Path) -> None:

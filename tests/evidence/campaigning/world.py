@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -125,7 +126,7 @@ class World:
         raise ProgramKilled
 
     @contextmanager
-    def opened(self, profile: Profile) -> Iterator[Cell]:
+    def opened(self, profile: Profile, **_: Any) -> Iterator[Cell]:
         """Connect to all devices, as ``open_cell`` does."""
         with ExitStack() as stack:
             try:

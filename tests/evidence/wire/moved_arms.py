@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 
 from cellapp.cell.driving.cell import Cell, open_cell
-from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.run import RunFile
 from cellapp.ground.profile import Profile
 from drivers.emulators.ur_controller import Control
 from drivers.trackers.protocol import Point
 from tests.evidence.wire.storm_cell import StormCell
+from tests.verbs import collect_by
 
 STEP = 1e3
 """Speed of a push that shows no speed: the arm is elsewhere in the next state."""
@@ -60,4 +60,4 @@ def collected(cell: StormCell, run: RunFile, attacks: list[Attack]) -> None:
             opened.tracker.measure = measure  # type: ignore[method-assign]
             yield opened
 
-    collect_run(run, opened=opened)
+    collect_by(opened, run)

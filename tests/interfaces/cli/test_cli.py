@@ -236,24 +236,6 @@ def test_a_verification_that_does_not_hold_exits_with_one(
 # -- readings out and in ----------------------------------------------------------------------------------------------
 
 
-def test_export_then_import_gives_the_same_readings(work: Path, call: Any) -> None:
-    assert call("export", "collected", "--csv", "out.csv", "--json", "-").json["readings"] == {"left": 30, "right": 30}
-    found = call("import", "twin.yaml", "out.csv", "--run", "again", "--json", "-").json
-    assert found["readings"] == {"left": 30, "right": 30}
-    assert found["notes"] == []
-    with RunFile.open(work / "collected") as first, RunFile.open(work / "again") as again:
-        for name in ("left", "right"):
-            one, other = first.readings(name), again.readings(name)
-            for field in ("configuration", "time_s", "q", "approach", "p_M", "payload_kg", "temperature_c"):
-                assert getattr(one, field).tobytes() == getattr(other, field).tobytes(), field
-            for field in ("joint_temperature_c", "covariance_M"):
-                np.testing.assert_array_equal(getattr(one, field), getattr(other, field))
-    assert call("calibrate", "again").code == 0
-    call("export", "again", "--csv", "again.csv")
-    for before, after in zip(rows_of(work / "out.csv"), rows_of(work / "again.csv"), strict=True):
-        assert before == {key: value for key, value in after.items() if key != "split"}
-
-
 def test_an_import_in_order_says_what_it_derived(work: Path, call: Any) -> None:
     readings = PROFILES.parent / "tests" / "fixtures" / "ur5-real" / "readings.csv"
     made = call(

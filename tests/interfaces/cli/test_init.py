@@ -44,7 +44,7 @@ def test_the_twin_in_an_empty_folder(call: Any) -> None:
     ("line", "other", "words"),
     [
         ("  stops: 80", "  stops: 1", "at least 4 and 1 are needed"),
-        ("plan:", "targets: none.yaml\nplan:", "none.yaml: cannot be read"),
+        ("plan:", "targets: none.yaml\nplan:", "none.yaml: file not found"),
         ("plan:", "arms: {left: {driver: {kind: none}}}\nplan:", "arms.left.driver: 'none' has no device"),
         ("plan:", "tracker: {driver: {kind: none}}\nplan:", "tracker.driver: 'none' has no"),
         ("  stops: 80", "  stops: 80\n  effects: [bogus]", "plan.effects: 'bogus' is no effect"),

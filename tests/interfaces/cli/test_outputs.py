@@ -17,13 +17,14 @@ import typer
 
 from cellapp.cell.profile.files import write_new
 from cellapp.cell.run import RunFile
-from cellapp.estimation.readings import Reading
+from cellapp.estimation.readings import Readings
 from cellapp.ground import outputs
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, RENEWED, Outputs, Writes
 from cellapp.interfaces import cli
 from cellapp.interfaces.cli.command_outputs import written_by
 from tests.cell.run.small_runs import two_arms
+from tests.interfaces.cli.conftest import exit_code
 from tests.program import app
 from tests.twin import write_profile
 
@@ -81,7 +82,7 @@ def run_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The file of a run in the folder R below the working folder, closed, and what else is never replaced."""
     monkeypatch.chdir(tmp_path)
     with RunFile.create(Path("R"), two_arms()) as run:
-        run.add_stop(0, {"left": Reading(q=np.zeros(2), p_M=np.zeros(3))})
+        run.add_stop(0, {"left": Readings.one(q=np.zeros(2), p_M=np.zeros(3))})
     Path("there.txt").write_bytes(OLD)
     Path("cell.yaml").write_text("# a cell\nschema: cellapp-profile\nversion: 1\n")
     Path("draft.txt").write_text("name: draft\narms:\n  left: {}\ntracker: {}\n")
@@ -106,15 +107,6 @@ def files_here() -> dict[str, bytes]:
     """Name -> content; the journals that SQLite makes for readers of a run are its own."""
     found = (path for path in Path().rglob("*") if path.is_file() and not path.name.endswith(("-shm", "-wal")))
     return {str(path): path.read_bytes() for path in found}
-
-
-def called(patch: pytest.MonkeyPatch, *words: str) -> int:
-    patch.setattr(sys, "argv", ["cellapp", *words])
-    try:
-        cli.main()
-    except SystemExit as ended:
-        return int(ended.code or 0)
-    return 0
 
 
 def usage(command: Command, given: str, but: str) -> list[str]:
@@ -183,20 +175,20 @@ def test_what_is_there_stays(
     before = files_here()
     words = usage(command, "R", option)
     for name in ("there.txt", *protected_from(command, option)):
-        assert called(monkeypatch, *words, option, name) == 2, name
+        assert exit_code(monkeypatch, *words, option, name) == 2, name
         said = capsys.readouterr().err
         if command.words not in REQUESTS:
             assert f"{option}: {name} " in said, said
             assert "othing was" in said, said
     for name in protected_from(command, option):
-        assert called(monkeypatch, *words, option, name, "--force") == 2, name
+        assert exit_code(monkeypatch, *words, option, name, "--force") == 2, name
         said = capsys.readouterr().err
         if command.words not in REQUESTS:
             assert "never replaced" in said, said
     if len(words) > len(command.words) and command.words not in REQUESTS:
         given = usage(command, "there.txt", option)
         if "there.txt" in given:
-            assert called(monkeypatch, *given, option, "there.txt", "--force") == 2
+            assert exit_code(monkeypatch, *given, option, "there.txt", "--force") == 2
             assert "input" in capsys.readouterr().err
     assert files_here() == before
 
@@ -216,16 +208,16 @@ def test_force_replaces_whole_or_not_at_all(
 ) -> None:
     Path("empty.txt").touch()
     for name in ("new.txt", "empty.txt"):
-        assert called(monkeypatch, *words, option, name) == 0
+        assert exit_code(monkeypatch, *words, option, name) == 0
         assert Path(name).read_bytes().lower().startswith(begins.lower())
     before = files_here()
     with monkeypatch.context() as patch:
         patch.setattr(os, "fsync", full)
         for name, force in (("there.txt", ["--force"]), ("other.txt", [])):
-            assert called(patch, *words, option, name, *force) == 2
+            assert exit_code(patch, *words, option, name, *force) == 2
     assert files_here() == before, "neither a part of the new one nor a gap where the old one was"
     Path("to.txt").symlink_to("there.txt")
-    assert called(monkeypatch, *words, option, "to.txt", "--force") == 0
+    assert exit_code(monkeypatch, *words, option, "to.txt", "--force") == 0
     assert Path("to.txt").is_symlink()
     assert Path("there.txt").read_bytes().lower().startswith(begins.lower())
 
@@ -236,7 +228,7 @@ def full(handle: int) -> None:
 
 def test_two_options_with_one_file(run_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for force in ([], ["--force"]):
-        assert called(monkeypatch, "export", "R", "--csv", "a.csv", "--json", "a.csv", *force) == 2
+        assert exit_code(monkeypatch, "export", "R", "--csv", "a.csv", "--json", "a.csv", *force) == 2
     assert not Path("a.csv").exists()
 
 
@@ -246,9 +238,9 @@ def test_a_journal_of_a_run_is_neither_a_store_nor_a_file(
     words = ("trials", "power", str(write_profile(tmp_path / "small")))
     for suffix in ("-wal", "-journal", "-shm"):
         name = f"R/run.sqlite{suffix}"
-        assert called(monkeypatch, "show", "R", "--json", name, "--force") == 2
-        assert called(monkeypatch, *words, "--results", name) == 2
-    assert called(monkeypatch, *words, "--results", "R/run.sqlite") == 2
+        assert exit_code(monkeypatch, "show", "R", "--json", name, "--force") == 2
+        assert exit_code(monkeypatch, *words, "--results", name) == 2
+    assert exit_code(monkeypatch, *words, "--results", "R/run.sqlite") == 2
 
 
 # -- the door itself --------------------------------------------------------------------------------------------------

@@ -34,7 +34,7 @@ def points(q: Array) -> Array:
 def calibrated(call: Any, q: Array, p_M: Array) -> tuple[Any, Any, Any]:
     """What ``init`` ends with, and the results of ``import`` and ``calibrate``, of an own table."""
     write_table(Path("own.csv"), q, p_M)
-    made = call("init", "cell", "--readings", "own.csv", "--arm", "ur5")
+    made = call("init", "cell", "--readings", "own.csv", "--arm", "UR5")
     imported = call("import", "cell/profiles/own.yaml", "cell/readings/own.csv", "--run", "run", "--json", "-")
     found = call("calibrate", "run", "--json", "-")
     return made, imported.json, found.json
@@ -59,6 +59,7 @@ def test_repeats_stay_on_one_side(call: Any) -> None:
     searched = call("discover", "run", "--json", "-").json["arms"]["robot"]
     assert searched["accepted"] == []
     assert searched["verdict"] == "nothing missing"
+    assert "next: cellapp docs targets, then 'cellapp compensate run TARGETS'" in call("show", "run").out
 
 
 def test_neighbours_are_held_out_together(call: Any) -> None:

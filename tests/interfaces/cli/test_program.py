@@ -32,7 +32,7 @@ from cellapp.commands.runs.run import summarise
 from cellapp.commands.show.overview import run_history, run_overview
 from cellapp.commands.show.view import overview_sentences, overview_tables
 from cellapp.commands.stages import DATA_MARK, append_stage, basis_of, data_mark
-from cellapp.estimation.readings import Reading
+from cellapp.estimation.readings import Readings
 from cellapp.ground import removed
 from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.ground.results import ErrorResult
@@ -273,7 +273,7 @@ def test_a_run_of_removed_readings_opens_for_show_and_export_and_calibrate_says_
     profile = load_profile(PROFILES / "twin.yaml")
     with RunFile.create(tmp_path / "run", profile) as run:
         path = run.path
-        run.add_stop(0, {"right": Reading(q=np.zeros(6), p_M=np.array([3.0, 0.5, 0.1]))})
+        run.add_stop(0, {"right": Readings.one(q=np.zeros(6), p_M=np.array([3.0, 0.5, 0.1]))})
     old_rows(path, columns, rows)
     with RunFile.open(path.parent, write=True) as run:
         state = run_overview(run)

@@ -7,6 +7,7 @@ import json
 import re
 import shlex
 import shutil
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -104,16 +105,18 @@ def test_what_cannot_be_is_refused_with_what_can(call: Any, folder: Path, words:
     assert says in " ".join(refused.err.split())
 
 
-def test_a_table_of_parameters_says_what_it_holds(call: Any, folder: Path) -> None:
-    call("export", folder, "--as", "parameters", "--out", "p.csv", "--arm", "left")
-    head = Path("p.csv").read_text("utf-8")
-    assert "does not hold" not in head
-    assert "joint_compliance." in head
+def test_on_a_terminal_results_end_within_a_screen(call: Any, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    shown = call("report", folder).out.splitlines()
+    assert len(shown) <= 40
+    assert shown[-1].startswith("More is stored: 'cellapp show")
 
 
 def test_parameters_are_those_in_force_with_their_shares_of_what_is_merged(call: Any, folder: Path) -> None:
     call("export", folder, "--as", "parameters", "--out", "p.csv", "--arm", "left")
-    exported = [line.split(",") for line in Path("p.csv").read_text("utf-8").splitlines() if not line.startswith("#")]
+    text = Path("p.csv").read_text("utf-8")
+    assert "joint_compliance." in text
+    exported = [line.split(",") for line in text.splitlines() if not line.startswith("#")]
     off = {row[0]: float(row[3]) - float(row[2]) for row in exported[1:]}
     arm = call("show", folder, "parameters", "--json", "-").json["arms"]["left"]
     assert len(arm["identified"]) > 20

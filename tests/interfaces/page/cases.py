@@ -84,7 +84,7 @@ def free_curve() -> AcceptedEffect:
 
 
 def ambiguous_compliance() -> AcceptedEffect:
-    """A compliance with a knee that two look-alikes explain as well, and that is correlated with the geometry."""
+    """A compliance with a knee that two alternatives explain as well, and that is correlated with the geometry."""
     return AcceptedEffect(
         effect="joint_compliance",
         title="joint compliance",
@@ -136,7 +136,7 @@ def data_driven_term(formula: str = "c |sin(q2)|", gain: float | None = 12.3) ->
 
 
 def unknown_effect(name: str) -> ArmDiscoveryResult:
-    """An arm with a free curve, an effect with look-alikes and a data-driven term."""
+    """An arm with a free curve, an effect with alternatives and a data-driven term."""
     return ArmDiscoveryResult(
         noise_floor_mm=0.0223,
         heldout_mm=BeforeAfter(before=0.4906, after=0.0312),

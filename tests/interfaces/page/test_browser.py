@@ -14,6 +14,7 @@ from cellapp.interfaces.page.page import certificate_page, page_text
 from tests.interfaces.page.cases import discovery
 from tests.interfaces.page.parsed_page import NOON
 from tests.interfaces.page.runs import LEFT, RIGHT, store_discovery
+from tests.interfaces.page.test_page_summary import certificate
 from tests.verbs import certificate_run
 
 if TYPE_CHECKING:
@@ -73,8 +74,7 @@ def test_page_in_a_browser(browser: Browser, report: Path, width: int) -> None:
     grounds = {}
     for scheme in ("light", "dark"):
         page = browser.new_page(viewport={"width": width, "height": 844}, color_scheme=scheme)
-        messages: list[str] = []
-        requests: list[str] = []
+        messages, requests = list[str](), list[str]()
         _record(page, messages, requests)
         page.goto(report.as_uri(), timeout=LONGEST_MS)
         page.locator("#fold").click()  # what is folded must fit, too
@@ -165,6 +165,7 @@ def test_paper_has_summary_and_certificate_on_two_pages_then_the_appendix(
 ) -> None:
     page = browser.new_page()
     page.goto(report.as_uri(), timeout=LONGEST_MS)
+    heads = page.eval_on_selector_all("h2, h3, h4", "all => all.map(head => head.innerText)")
     page.pdf(path=tmp_path / "report.pdf", prefer_css_page_size=True)
     page.close()
     pages = [page.extract_text() for page in pypdf.PdfReader(tmp_path / "report.pdf").pages]
@@ -178,5 +179,25 @@ def test_paper_has_summary_and_certificate_on_two_pages_then_the_appendix(
     assert "SHA-256 of calibration.json" in text, "a section that is folded on the screen is open on paper"
     assert "With 20 simulations without effects" not in text, "details stay folded"
     assert len(pages) <= 8
+    assert not {text.splitlines()[-1] for text in pages} & {*heads}, "no heading alone at a page's end"
     assert "Unfold all" not in text
     assert "Contents" not in text
+
+
+def test_a_certificate_prints_on_two_sheets_and_fits_a_telephone(browser: Browser, tmp_path: Path) -> None:
+    path = tmp_path / "certificate.html"
+    path.write_text(certificate_page(certificate("left", "right")), "utf-8")
+    page = browser.new_page(viewport={"width": 390, "height": 800}, java_script_enabled=False)
+    page.goto(path.as_uri())
+    assert page.locator(".certificate h2").inner_text() == "Calibration certificate"
+    box = page.locator(".certificate").bounding_box()
+    assert box is not None
+    assert box["x"] + box["width"] <= 390
+    page.pdf(path=tmp_path / "certificate.pdf", prefer_css_page_size=True)
+    page.close()
+    sheets = pypdf.PdfReader(tmp_path / "certificate.pdf").pages
+    assert len(sheets) <= 2
+    assert [round(float(side) / 72.0 * 25.4) for side in sheets[0].mediabox[2:]] == [210, 297]
+    printed = " ".join(sheet.extract_text() for sheet in sheets)
+    assert "QA 17" in printed
+    assert "of 2" in printed

@@ -14,7 +14,7 @@ from pydantic import TypeAdapter
 
 from cellapp.cell.driving.records import PlannedStop
 from cellapp.cell.run import RunFile
-from cellapp.commands.calibrate.charts import error_histogram_chart, scale_length_mm, vector_chart
+from cellapp.commands.calibrate.charts import scale_length_mm, vector_chart
 from cellapp.commands.calibrate.held_out import HeldOutArm
 from cellapp.commands.collect.charts import residual_drift_chart
 from cellapp.commands.discover.view import is_line
@@ -22,7 +22,6 @@ from cellapp.commands.plan.charts import cell_map_chart, outlined_obstacles, sur
 from cellapp.commands.report.data import ReportData, read_report_data
 from cellapp.commands.view.charts import Axis, Chart, Kind, Limit, Series, bar_chart, series
 from cellapp.estimation.discovery.records import Picture
-from cellapp.ground.counting import mm
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import AnyObstacle
 from cellapp.ground.progress import StopReport
@@ -39,21 +38,6 @@ def report(stop: int, arm: str, residual_mm: float, standard_error_mm: float = 0
 
 
 # -- accuracy ---------------------------------------------------------------------------------------------------------
-
-
-def test_a_histogram_counts_every_error_once() -> None:
-    rng = np.random.default_rng(3)
-    errors = {"nominal": rng.lognormal(0.0, 0.5, 100), "effects": np.append(rng.lognormal(-4.0, 0.5, 60), np.nan)}
-    chart = error_histogram_chart("left", errors, 0.02)
-    for one, count in zip(chart.series, (100, 60), strict=True):
-        assert one.kind == "steps"
-        assert one.y.sum() == count
-        assert one.y[0] == one.y[-1] == 0.0
-        assert np.all(np.diff(one.x) >= 0.0)
-    assert [one.style for one in chart.series] == [0, 3]
-    assert [(limit.axis, limit.value) for limit in chart.limits] == [("x", 0.02)]
-    medians = [mm(float(np.nanmedian(one))) for one in errors.values()]
-    assert f"Median error: {medians[0]} (nominal), {medians[1]} (geometry and effects)." in chart.message
 
 
 # -- Charts of held-out errors over joints and in space, of a small calibrated run -------------------------------------

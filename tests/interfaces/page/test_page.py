@@ -231,13 +231,3 @@ def test_same_run_same_bytes_except_for_the_time(single: RunFile, single_text: s
 
 
 # -- numbers ----------------------------------------------------------------------------------------------------------
-
-
-def test_distance_noise_is_that_of_two_points() -> None:
-    rng = np.random.default_rng(3)
-    first, second = rng.normal(0.0, 0.02, (20_000, 3)), rng.normal(0.0, 0.05, (20_000, 3))
-    lengths = [float(np.sqrt(np.mean(np.sum(noise**2, axis=1)))) for noise in (first, second)]
-    apart = np.array([1000.0, 0.0, 0.0])
-    errors = np.linalg.norm(apart + first - second, axis=1) - 1000.0
-    assert distance_mm(*lengths) == pytest.approx(np.sqrt(np.mean(errors**2)), rel=0.03)
-    assert distance_mm(0.1, None) is None

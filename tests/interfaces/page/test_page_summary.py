@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Iterator
 from datetime import date
 from pathlib import Path
@@ -12,8 +11,6 @@ from typing import Any, cast
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from playwright.sync_api import sync_playwright
-from pypdf import PdfReader
 
 from cellapp.cell.profile import load_profile
 from cellapp.commands.certificate.view import certificate_sentences, certificate_tables
@@ -183,7 +180,6 @@ def test_saved_numbers_are_exact(value: float) -> None:
 # -- The certificate as a page: escaped, complete without scripts or network, on two sheets of A4 at most --------------
 
 HOSTILE = "<script>alert(1)</script>"
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 BEFORE = ErrorSummary(mean=4.0, rms=4.2, std=1.0, max=6.0, p95=5.9, n=20)
 AFTER = ErrorSummary(mean=0.026, rms=0.03, std=0.01, max=0.054, p95=0.041, n=20)
 SOURCES = ("tracker", "SMR centering", "air temperature", "arm repeatability", "calibrated model", "station")
@@ -240,25 +236,3 @@ def test_a_certificate_says_what_was_approved() -> None:
     pages = [Page(certificate_page(one)).text for one in (given, simulated)]
     shown = "\n".join([*parts, *pages])
     assert_approved(APPROVED / "certificate.txt", shown)
-
-
-@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed")
-def test_it_prints_on_two_sheets_and_fits_a_telephone(tmp_path: Path) -> None:
-    path = tmp_path / "certificate.html"
-    path.write_text(certificate_page(certificate("left", "right")), "utf-8")
-    with sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=CHROMIUM)
-        page = browser.new_page(viewport={"width": 390, "height": 800}, java_script_enabled=False)
-        page.goto(path.as_uri())
-        assert page.locator(".certificate h2").inner_text() == "Calibration certificate"
-        box = page.locator(".certificate").bounding_box()
-        assert box is not None
-        assert box["x"] + box["width"] <= 390
-        page.pdf(path=tmp_path / "certificate.pdf", prefer_css_page_size=True)
-        browser.close()
-    sheets = PdfReader(tmp_path / "certificate.pdf").pages
-    assert len(sheets) <= 2
-    assert [round(float(side) / 72.0 * 25.4) for side in sheets[0].mediabox[2:]] == [210, 297]
-    printed = " ".join(sheet.extract_text() for sheet in sheets)
-    assert "QA 17" in printed
-    assert "of 2" in printed

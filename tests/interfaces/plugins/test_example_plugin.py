@@ -29,6 +29,7 @@ from drivers.arms.settings import ArmSettings
 from tests.interfaces.plugins.installed import EXAMPLE, REPOSITORY, add_example, installed, run_commands
 from tests.interfaces.plugins.line_controller import LineController, line_controllers
 from tests.twin import PROFILES
+from tests.waiting import WAIT_S
 
 HOME = np.array([0.0, -math.pi / 2.0, 0.0, -math.pi / 2.0, 0.0, 0.0])
 SPEED, ACCELERATION = np.full(6, 0.5), np.full(6, 1.0)
@@ -95,7 +96,7 @@ def test_who_took_part_is_in_the_provenance(profile: Profile) -> None:
 def test_the_arm_moves_keeps_its_limits_and_stays_when_braked(arm: Arm, controller: LineController) -> None:
     goal = HOME + 0.1
     arm.start_move(goal, SPEED, ACCELERATION)
-    np.testing.assert_allclose(arm.wait_settled(5.0).q, goal, atol=1e-12)
+    np.testing.assert_allclose(arm.wait_settled(WAIT_S).q, goal, atol=1e-12)
     with pytest.raises(LimitExceeded, match="nothing has moved"):
         arm.start_move(np.full(6, 7.0), SPEED, ACCELERATION)
     with pytest.raises(LimitExceeded):
@@ -106,7 +107,7 @@ def test_the_arm_moves_keeps_its_limits_and_stays_when_braked(arm: Arm, controll
     arm.stop()
     arm.connect()
     arm.start_move(HOME, SPEED, ACCELERATION)
-    np.testing.assert_allclose(arm.wait_settled(5.0).q, HOME, atol=1e-12)
+    np.testing.assert_allclose(arm.wait_settled(WAIT_S).q, HOME, atol=1e-12)
     assert [line.split()[0] for line in controller.commands] == ["move", "stop", "stop", "move"]
 
 
@@ -114,10 +115,10 @@ def test_a_link_that_is_cut_is_pushed_once_and_then_said_by_every_call(arm: Arm,
     faults: queue.Queue[ArmError] = queue.Queue()
     arm.watch(faults.put)
     controller.close()
-    told = faults.get(timeout=5.0)
+    told = faults.get(timeout=WAIT_S)
     assert isinstance(told, LinkLost)
     assert "look at the arm, it may still move" in str(told)
-    for call in (arm.state, lambda: arm.wait_settled(5.0), lambda: arm.start_move(HOME, SPEED, ACCELERATION)):
+    for call in (arm.state, lambda: arm.wait_settled(WAIT_S), lambda: arm.start_move(HOME, SPEED, ACCELERATION)):
         with pytest.raises(LinkLost):
             call()
     with pytest.raises(LinkLost, match="check power, cable and address"):

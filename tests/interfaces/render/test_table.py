@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from cellapp.commands.view.parts import Part, Section
-from cellapp.commands.view.table import Cell, Column, Interval, Number, Table, format_cell, number_column
+from cellapp.commands.view.table import Column, Interval, Table, number_column
 from cellapp.ground.counting import mm, plain
 from cellapp.interfaces.render.terminal import rich_table, shortened
 
@@ -22,48 +22,14 @@ TABLE = Table(
 )
 
 
-@pytest.mark.parametrize(
-    ("cell", "number_format", "text"),
-    [
-        (None, ".4f", ""),
-        ("none", ".4f", "none"),
-        (3, "d", "3"),
-        (0.00497, ".2g", "0.005"),
-        (-0.5, "+.5f", "-0.50000"),
-        (Interval(0.1, 0.25), ".4f", "0.1000 to 0.2500"),
-        (Interval(9, 37), "d", "9 to 37"),
-        (Interval(16.6327, 16.7033, 3), ".4f", "16.633 to 16.703"),
-        (Number(27.69, 1, "%"), ".4f", "27.7 %"),
-        (Number(42.91, 1), "", "42.9"),
-        (-1e-6, ".4f", "0.0000"),
-        (-1e-6, "+.3f", "+0.000"),
-        (Interval(-1e-9, 0.1), ".2f", "0.00 to 0.10"),
-    ],
-)
-def test_cells_are_formatted_by_their_column(cell: Cell, number_format: str, text: str) -> None:
-    assert format_cell(cell, number_format) == text
-
-
 def test_numbers_in_sentences_have_no_exponent_and_are_never_minus_zero() -> None:
     assert [mm(8.48e-5), mm(-1e-7), mm(12345.6)] == ["0.0001 mm", "0.0000 mm", "12345.6 mm"]
     assert [plain(3.5e4), plain(8.48e-5), plain(-0.0), plain(-2.5e-7, 1)] == ["35000", "0.0000848", "0", "-0.0000002"]
 
 
-def test_headings_have_units_and_rows_are_text() -> None:
-    assert TABLE.headings == ("stage", "mean [mm]", "n", "note")
-    assert TABLE.text_rows() == (("nominal", "0.1235", "17", "[bold]"), ("effects", "0.1000 to 0.2500", "", ""))
-
-
 def test_a_row_needs_a_cell_for_each_column() -> None:
     with pytest.raises(ValueError, match="1 cells in a row of 2 columns"):
         Table("t", (Column("a"), Column("b")), (("only",),))
-
-
-def test_a_terminal_shows_brackets_as_text_and_aligns_numbers_right() -> None:
-    text = drawn(TABLE, 80)
-    assert text.count("[bold]") == text.count("Errors [mm]") == 1
-    first, second = (line for line in text.splitlines() if line.strip().startswith(("nominal", "effects")))
-    assert first.index("0.1235") + len("0.1235") == second.index("0.2500") + len("0.2500")
 
 
 def test_of_a_long_view_a_terminal_gets_the_sentences_what_fits_and_the_command_for_the_rest() -> None:

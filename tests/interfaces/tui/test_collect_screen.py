@@ -307,7 +307,7 @@ async def test_marked_stops_are_measured_again_after_a_question(measured_run: Pa
         assert [row[5] for row in rows] == ["again", "again"]
     with RunFile.open(run) as opened:
         assert [one.again for one in opened.sessions()] == ["", "12"]
-        assert earlier_readings(opened, "right").readings.configuration.tolist() == [11]
+        assert earlier_readings(opened, "right")[0].configuration.tolist() == [11]
 
 
 async def test_a_full_disk_holds_the_reading_until_a_person_freed_it(monkeypatch: pytest.MonkeyPatch) -> None:

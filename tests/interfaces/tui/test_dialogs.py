@@ -25,7 +25,7 @@ from cellapp.commands.run_results import read_results
 from cellapp.ground.results import ErrorSummary, Result
 from cellapp.interfaces.tui import verb_jobs
 from cellapp.interfaces.tui.app import CellApp
-from cellapp.interfaces.tui.confirmations import WRITE
+from cellapp.interfaces.tui.dialogs.question import WRITE
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.job_outcome import REPORT_FILE, ending_of
 from cellapp.interfaces.tui.jobs import Job, JobEnded

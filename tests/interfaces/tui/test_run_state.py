@@ -7,15 +7,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from cellapp.commands.next_step import stage_conclusions
 from cellapp.interfaces.tui.app import CellApp
-from cellapp.interfaces.tui.job_record import MOST_LINES, JobRecord
 from cellapp.interfaces.tui.keys import with_keys
 from cellapp.interfaces.tui.run_state import SIGNS, marks_of
-from cellapp.interfaces.tui.workspace import Workspace, load_workspace
+from cellapp.interfaces.tui.workspace import load_workspace
 from tests.approved import assert_approved
 from tests.interfaces.tui.pilot import shown_text
 from tests.interfaces.tui.states import STATES, states_table
@@ -68,13 +65,6 @@ def test_the_mark_of_accept_is_the_verdict(conformity: str | None, sign: str, fi
     assert SIGNS[marks_of(held, 1, 1, 0, None)["accept"].kind] == sign
 
 
-def test_what_runs_is_marked_and_what_is_next_keeps_its_own_mark() -> None:
-    marks = marks_of(Workspace(), 0, 0, 0, "plan")
-    assert marks["plan"].kind == "running"
-    assert marks["cell"].is_next
-    assert marks["cell"].kind == "next"
-
-
 def test_sentences_name_keys_and_no_commands() -> None:
     assert with_keys("report.html is old; run 'cellapp report logs/a'") == "report.html is old; keys 7, b"
     assert with_keys("Measure them: cellapp push DIR TARGETS --verify") == "Measure them: keys 6, m"
@@ -86,23 +76,3 @@ def test_sentences_name_keys_and_no_commands() -> None:
 
 
 # -- The record of a job: what events leave behind, without any screen -------------------------------------------------
-
-
-@given(steps=st.lists(st.integers(0, 40), max_size=20))
-def test_newest_lines_are_each_heard_once(steps: list[int]) -> None:
-    record, heard, written = JobRecord(), [], 0
-    for count in steps:
-        for _ in range(count):
-            record.note(f"line {record.log_written}")
-        heard += record.newest_lines(written)
-        written = record.log_written
-    assert [row.text for row in heard] == [f"line {number}" for number in range(sum(steps))]
-
-
-def test_lines_that_are_kept_no_more_are_not_heard() -> None:
-    record = JobRecord()
-    for number in range(MOST_LINES + 10):
-        record.note(f"line {number}")
-    newest = record.newest_lines(0)
-    assert len(newest) == MOST_LINES
-    assert newest[0].text == "line 10"

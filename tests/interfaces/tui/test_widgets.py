@@ -302,9 +302,10 @@ def test_whatever_the_numbers_nothing_leaves_the_room(x, seed, kind, size, logar
 @pytest.fixture
 def _as_before(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setattr(app, "gc", gc)  # other tests of screens have none
-    before = list(gc.callbacks)
+    before, often = list(gc.callbacks), gc.get_threshold()
     yield
     gc.callbacks[:] = before
+    gc.set_threshold(*often)
 
 
 @pytest.mark.usefixtures("_as_before")
@@ -313,8 +314,9 @@ def test_what_survives_a_slow_full_pass_is_set_aside(
     monkeypatch: pytest.MonkeyPatch, slow_s: float, sets_aside: bool
 ) -> None:
     monkeypatch.setattr(app, "_SLOW_S", slow_s)
-    before = gc.get_freeze_count()
+    before, often = gc.get_freeze_count(), gc.get_threshold()
     SlowCollections().watch()
+    assert gc.get_threshold() > often, "a full pass is rarer: first visits of screens waited for one"
     gc.collect(1)
     assert gc.get_freeze_count() <= before
     gc.collect()

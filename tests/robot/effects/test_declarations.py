@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,6 @@ from cellapp.robot.effects import (
     EFFECTS,
     FIXED,
     ActsOn,
-    Constant,
     Effect,
     EffectColumn,
     EffectContext,
@@ -24,7 +22,6 @@ from cellapp.robot.effects import (
     LawForm,
     Linear,
     MeasurementConditions,
-    Scaled,
     Tuned,
     own_law,
     registered,
@@ -40,7 +37,7 @@ FORMS = [(slug, form) for slug, effect in EFFECTS.items() for form in effect.for
 
 
 @pytest.mark.parametrize(("slug", "form"), FORMS, ids=lambda value: value if isinstance(value, str) else value.name)
-def test_every_form_declares_words_drivers_and_constants(slug: str, form: LawForm) -> None:
+def test_every_form_declares_words_inputs_and_constants(slug: str, form: LawForm) -> None:
     assert form.words
     assert "_" not in form.words
     assert form.words != form.name.replace("_", " ")
@@ -88,12 +85,6 @@ def test_every_constant_of_every_law_is_declared() -> None:
             assert law.words(range(6))
 
 
-def test_a_constant_without_a_declaration_is_refused() -> None:
-    form = LawForm("some", "somehow", (Constant("width", "rad", Scaled(1.5), "width {} rad"),))
-    with pytest.raises(ValueError, match="law 'some' declares no constant 'taper'"):
-        form.law({"width": 1.0, "taper": 2.0})
-
-
 class Silent(Effect):
     """An effect whose law has no words."""
 
@@ -126,21 +117,6 @@ def compliance() -> EffectTerm:
         law=EFFECTS["joint_compliance"].law("two_slope", {"knee2": 31.0}, 4),
         note="noted",
     )
-
-
-def test_a_term_survives_json() -> None:
-    content = json.loads(json.dumps(term_to_json(compliance())))
-    assert set(content) == {"effect", "law", "constants", "note", "parameters"}
-    assert content["parameters"]["soft2"] == {"value": 3e-6, "standard_error": 2e-8, "unit": "rad/Nm"}
-    again = term_from_json(content, EFFECTS)
-    assert (again.slug, again.names, again.units, again.note) == ("joint_compliance", *_plain(compliance()))
-    assert (again.law.form, again.law.constants) == (compliance().law.form, compliance().law.constants)
-    np.testing.assert_array_equal(again.values, compliance().values)
-    assert term_to_json(again) == content
-
-
-def _plain(term: EffectTerm) -> tuple[Any, ...]:
-    return term.names, term.units, term.note
 
 
 def test_discoverys_layout_of_a_law_is_read_as_well() -> None:

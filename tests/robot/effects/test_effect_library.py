@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cellapp.robot.effects import EFFECTS, ActsOn, EffectTerm, Law, MeasurementConditions, displacement
+from cellapp.robot.effects import EFFECTS, ActsOn, Law, MeasurementConditions
 from cellapp.robot.effects.data_driven import acted_on, variables
 from tests.robot.effects.cell import NOTHING, by_name, chain, context_of, curve_laws, pair_laws, rows_of, under
 
@@ -167,32 +167,10 @@ def test_of_every_law(slug, claim):
         claim(slug, law)
 
 
-def test_no_two_effects_share_a_parameter_name():
-    """They are identified together, by name."""
-    owner: dict[str, str] = {}
-    for slug, law in NAMED:
-        for column in EFFECTS[slug].columns(CONTEXT, law):
-            assert owner.setdefault(column.name, slug) == slug, column.name
-
-
 @pytest.mark.parametrize("slug", [slug for slug in EFFECTS if slug != "unknown"])
 def test_a_law_of_another_version_is_refused(slug):
     with pytest.raises(ValueError, match=f"effect {slug} has no law 'of tomorrow'"):
         EFFECTS[slug].law("of tomorrow", EFFECTS[slug].laws(CONTEXT)[0].constants)
-
-
-def test_displacements_of_terms_add_up():
-    """Joint offsets enter the chain exactly, the rest is added to the SMR."""
-    bend = term_of("link_bending", EFFECTS["link_bending"].law("bending"), {"flexibility2": 1e-5})
-    play = term_of("backlash", EFFECTS["backlash"].law("constant"), {"half_play1": 1e-4, "half_play3": 2e-4})
-    ripple = term_of("transmission_error", EFFECTS["transmission_error"].law("lines"), {"sin100q3": 3e-5})
-    moved = displacement([bend, play, ripple], EFFECTS, CONTEXT)
-    s, q = CONTEXT.approach, CONTEXT.q
-    expected = np.zeros(q.shape)
-    expected[:, 0], expected[:, 2] = -1e-4 * s[:, 0], -2e-4 * s[:, 2] + 3e-5 * np.sin(100.0 * q[:, 2])
-    np.testing.assert_allclose(moved.joints, expected, atol=1e-15)
-    bent = by_name(EFFECTS["link_bending"].columns(CONTEXT, EFFECTS["link_bending"].law("bending")))["flexibility2"]
-    np.testing.assert_allclose(moved.shift_M, 1e-5 * values_of(bent))
 
 
 def test_the_independent_chain_agrees_with_the_arm():
@@ -235,14 +213,3 @@ def test_the_independent_chain_agrees_with_the_arm():
 def test_missing_data_are_reported(slug, conditions, words):
     assert EFFECTS[slug].missing_data(under(CONTEXT, conditions)) == words
     assert EFFECTS[slug].missing_data(CONTEXT) == ""
-
-
-def term_of(slug, law, values):
-    return EffectTerm(
-        slug=slug,
-        names=tuple(values),
-        values=np.array(list(values.values())),
-        standard_errors=np.zeros(len(values)),
-        units=("",) * len(values),
-        law=law,
-    )

@@ -8,20 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellapp.robot.effects import (
-    EFFECTS,
-    ActsOn,
-    EffectTerm,
-    MeasurementConditions,
-    displacement,
-    term_from_json,
-    term_to_json,
-)
+from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions, term_from_json, term_to_json
 from cellapp.robot.effects.data_driven import (
     FIELD,
     FIELD_LENGTH,
     POSITION,
-    DataDrivenForm,
     Quantity,
     acted_on,
     box_of,
@@ -33,26 +24,12 @@ from cellapp.robot.effects.data_driven import (
 from cellapp.robot.effects.law import AMPLITUDE
 from cellapp.robot.effects.modulation import OWN_SIZE, TermInput, modulations, with_modulations
 from cellapp.robot.kinematics.transforms import rotation_z
-from tests.robot.effects.cell import EYE, NOTHING, by_name, chain, context_of, curve_laws, offsets, shifts, slope, under
+from tests.robot.effects.cell import EYE, by_name, chain, context_of, curve_laws, offsets, shifts, slope, under
 
 CONTEXT = context_of(40)
 UNKNOWN = EFFECTS["unknown"]
-EVERY = (
-    *(f"q{j}" for j in range(1, 7)),
-    *(f"other q{j}" for j in range(1, 7)),
-    "time",
-    *(f"torque{j}" for j in range(1, 7)),
-    *(f"step{j}" for j in range(1, 7)),
-    *("dwell", "payload", "temperature", "range", "azimuth", "elevation", "incidence"),
-)
-
-
 VECTORS = ("base shift", "tool")
 ACTED_ON = tuple(acts_on.name for acts_on in acted_on(6))
-
-
-def names_of(variables):
-    return tuple(one.name for one in variables)
 
 
 def law_of(acts_on, variable, context=CONTEXT):
@@ -64,31 +41,6 @@ def law_of(acts_on, variable, context=CONTEXT):
 
 def columns(law, context=CONTEXT):
     return by_name(UNKNOWN.columns(context, law))
-
-
-@pytest.mark.parametrize("acts_on", ACTED_ON)
-def test_a_form_is_read_back_from_its_name(acts_on):
-    """The name is what JSON holds; channel and variables come back typed."""
-    for name in EVERY:
-        form = form_named(f"{acts_on}|{name}")
-        assert isinstance(form, DataDrivenForm)
-        assert (form.acts_on.name, names_of(form.inputs)) == (acts_on, (name,))
-        assert form.words == f"{acts_on} as a function of {name}"
-    pair = form_named(f"{acts_on}|q2|time")
-    assert pair is not None
-    assert names_of(pair.inputs) == ("q2", "time")
-    assert (pair.acts_on.acts_on is ActsOn.JOINT) == (pair.acts_on.joint is not None)
-
-
-def test_a_variable_that_is_unknown_or_constant_is_not_tried():
-    bare = replace(under(CONTEXT, NOTHING), smr_normal=None)
-    torques = tuple(f"torque{j}" for j in range(1, 7))
-    assert names_of(variables(bare)) == (*EVERY[:6], *torques, "range", "azimuth", "elevation")
-    q = CONTEXT.q.copy()
-    q[:, 3] = 0.5
-    assert "q4" not in names_of(variables(replace(CONTEXT, q=q)))
-    known = MeasurementConditions(payload_kg=np.full(40, 1.0))
-    assert "payload" not in names_of(variables(under(CONTEXT, known)))
 
 
 def moved_of(acts_on, context, row):
@@ -160,7 +112,7 @@ def test_a_name_that_is_no_term_is_refused(name):
         UNKNOWN.columns(CONTEXT, UNKNOWN.law(name, {"order": 4.0}))
 
 
-# -- The free part of a law: its columns against their definition, unknown drivers, and the JSON form of its terms -----
+# -- The discrepancy term of a law: its columns against their definition, unknown inputs, and JSON of its terms --------
 
 CONTEXT_OF_MODULATION = context_of()
 COMPLIANCE = EFFECTS["joint_compliance"]
@@ -169,7 +121,7 @@ STIFF = [column for column in COMPLIANCE.columns(CONTEXT_OF_MODULATION, COMPLIAN
 
 def term() -> EffectTerm:
     own, load = (
-        modulations(driver, STIFF[:1], CONTEXT_OF_MODULATION)[0] for driver in (OWN_SIZE, TermInput(Quantity.PAYLOAD))
+        modulations(one, STIFF[:1], CONTEXT_OF_MODULATION)[0] for one in (OWN_SIZE, TermInput(Quantity.PAYLOAD))
     )
     return EffectTerm(
         slug="joint_compliance",
@@ -181,14 +133,6 @@ def term() -> EffectTerm:
         modulations=(own, load),
         law_misfit=0.2,
     )
-
-
-def test_a_term_with_a_free_part_moves_by_the_law_times_one_and_a_function():
-    one = term()
-    assert one.law_names == ("compliance2",)
-    (base, own, load) = with_modulations(STIFF[:1], one.modulations, CONTEXT_OF_MODULATION)
-    moved = displacement([one], EFFECTS, CONTEXT_OF_MODULATION).joints[:, 1]
-    np.testing.assert_allclose(moved, 1e-5 * offsets(base) + 2e-6 * offsets(own) - 1e-6 * offsets(load), atol=1e-15)
 
 
 def test_a_free_part_survives_json():

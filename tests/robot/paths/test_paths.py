@@ -18,10 +18,9 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
 from cellapp.robot.kinematics.chain import parameter_names
-from cellapp.robot.kinematics.transforms import rotation_zyx
 from cellapp.robot.model import ArmModel, CellModel
 from cellapp.robot.model.nominal import bodies_of, nominal_arm, pose_matrix, up_in_tracker
-from cellapp.robot.paths.cartesian import Arc, CartesianPath, cartesian_path
+from cellapp.robot.paths.cartesian import Arc
 from cellapp.robot.paths.joint_path import Sweep
 from tests.twin import PROFILES, small_twin
 
@@ -76,13 +75,6 @@ def spec(**changes: Any) -> PathSpec:
     return PathSpec.model_validate({**content, **changes})
 
 
-def square(**changes: Any) -> CartesianPath:
-    corners = np.array([[0.0, 0.0, 0.0], [0.2, 0.0, 0.0], [0.2, 0.1, 0.0], [0.0, 0.1, 0.0]])
-    rotations = np.stack([rotation_zyx(0.1 * k, 0.05 * k, 0.0) for k in range(4)])
-    given: dict[str, Any] = {"vias": [None] * 3, "blends": [0.0, 0.03, 0.0, 0.0], "speeds": np.full(3, 0.1)}
-    return cartesian_path(corners, rotations, **(given | changes))
-
-
 # -- geometry ---------------------------------------------------------------------------------------------------------
 
 
@@ -98,15 +90,6 @@ def test_an_arc_goes_through_its_three_points(numbers: list[float]) -> None:
     np.testing.assert_allclose(ends, np.stack([start, end]), atol=float(1e-9 / height))
     points = arc.positions(np.linspace(0.0, arc.length, 2001))
     assert np.linalg.norm(points - via, axis=1).min() < arc.length / 1999.0
-
-
-def test_rotations_follow_without_jumps_and_reach_the_given_ones() -> None:
-    path = square()
-    s = np.linspace(0.0, path.length, 5001)
-    _, rotated = path.poses(s)
-    np.testing.assert_allclose(rotated @ rotated.transpose(0, 2, 1), np.tile(np.eye(3), (len(s), 1, 1)), atol=1e-12)
-    np.testing.assert_allclose(rotated[[0, -1]], path.rotations[[0, -1]], atol=1e-12)
-    assert np.abs(np.diff(rotated, axis=0)).max() < 2.0 * 0.5 / 5000
 
 
 # -- joint paths ------------------------------------------------------------------------------------------------------
@@ -277,13 +260,6 @@ def test_a_bad_file_is_named_by_line(name: str, tmp_path: Path, profile: Profile
 def drawn(seed: int = 0) -> Sweep:
     rng = np.random.default_rng(seed)
     return Sweep(rng.normal(size=6), rng.normal(size=(4, 6)), rng.normal(size=(4, 6)), 12.0)
-
-
-def test_it_begins_and_ends_at_rest_at_its_center() -> None:
-    motion = drawn()
-    ends = np.array([0.0, motion.period_s, 3.0 * motion.period_s])
-    np.testing.assert_allclose(motion.at(ends), np.tile(motion.center, (3, 1)), atol=1e-12)
-    np.testing.assert_allclose(motion.at(ends, 1), 0.0, atol=1e-12)
 
 
 def test_slowed_keeps_the_path_and_the_limits() -> None:

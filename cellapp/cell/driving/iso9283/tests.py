@@ -36,7 +36,7 @@ from cellapp.cell.driving.iso9283.programme import (
 )
 from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover, Vector
 from cellapp.cell.driving.reaction import StopReaction
-from cellapp.cell.driving.supervision import Opened, attended_cell, hold_while_paused
+from cellapp.cell.driving.supervision import attended_cell, hold_while_paused
 from cellapp.cell.driving.sweeping import INTERVAL_S, PathDriver
 from cellapp.cell.driving.target_visit import Driver
 from cellapp.cell.planning.planned_stops import tell_time, visits_s
@@ -424,12 +424,11 @@ def drive_tests(
     *,
     confirm: Confirm | None = None,
     opened: Callable[[Cell], object] = lambda cell: None,
-    open_with: Opened | None = None,
 ) -> None:
     """Make the tests one after the other, one arm at a time with the others at home; cooperative tests with two arms.
 
     Each visit is added to ``findings`` when it is measured. ``opened`` is called with the open cell before anything
-    moves; its exception ends the job. ``confirm`` is called before the first motion. ``open_with`` opens the cell.
+    moves; its exception ends the job. ``confirm`` is called before the first motion.
 
     Raises
     ------
@@ -442,7 +441,7 @@ def drive_tests(
     """
     control = control or JobControl()
     profile, homes = task.profile, home_positions(task.profile)
-    with attended_cell(profile, control, open_with) as (cell, reaction):
+    with attended_cell(profile, control) as (cell, reaction):
         cell = replace(cell, gate=remembered(cell.gate))
         opened(cell)
         cell.require_tracker()

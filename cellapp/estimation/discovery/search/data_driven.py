@@ -41,7 +41,7 @@ from cellapp.estimation.discovery.search.state import (
 )
 from cellapp.robot.effects import EFFECTS, InputVariable
 from cellapp.robot.effects.data_driven import ActedOn, acted_on, data_driven_form
-from cellapp.robot.effects.effect import imitation, is_borrowed, place_in_words
+from cellapp.robot.effects.effect import borrowed, is_borrowed, place_in_words
 from cellapp.robot.effects.law import AMPLITUDE
 from cellapp.robot.effects.unknown import FunctionFamily, curve_families, own_angles, pair_families
 
@@ -136,7 +136,7 @@ def without_imitations(problem: SearchProblem, state: SearchState) -> SearchStat
         effect = EFFECTS[term.slug]
         places = place_in_words(tuple(dict.fromkeys(column.where for column in fit.term_columns(number))))
         note = f"something moves {places} and looks like {effect.title}"
-        law = imitation(effect, term.law.form).law(term.law.constants, term.law.tried)
+        law = borrowed("imitation", effect, term.law.form).law(term.law.constants, term.law.tried)
         terms = with_term(terms, number, replace(term, slug=UNKNOWN, law=law, note=note))
     return state if terms is fit.terms else problem.state(terms, state)
 
@@ -160,7 +160,7 @@ def _with_term(problem: SearchProblem, state: SearchState, scores: Sequence[LawS
 
 
 def _holds(problem: SearchProblem, state: SearchState, score: LawScore) -> bool:
-    """Return whether a term explains a visible share of what is left, also on left-out readings and beside discrepancy
+    """Return whether a term explains a visible share of the residuals, also on left-out readings and beside discrepancy
     terms.
 
     The residual of a slightly wrong law often looks like a law of other variables.
@@ -175,7 +175,7 @@ def _holds(problem: SearchProblem, state: SearchState, score: LawScore) -> bool:
 def _share_beyond_noise(state: SearchState, score: LawScore) -> float:
     """Return the share of the remaining sum of squares beyond the noise that a term explains beyond chance.
 
-    If no uncertainty is stated, the noise is unknown: the share is then that of all that is left.
+    If no uncertainty is stated, the noise is unknown: the share is then that of all residuals.
     """
     remaining = scatter(state.data, state.fit)
     beyond_noise = 1.0 if remaining is None else 1.0 - min(remaining.ratio**-2, 1.0)

@@ -3,7 +3,7 @@
 The residual of a nearly right law often looks like a second effect. Each library effect may therefore have a
 discrepancy term (``robot.effects.modulation``), small by prior: with fitted values v of a block's columns,
 
-    coefficient of the function f_k of a driver ~ N(0, (share |v| w_k)^2),   w_k proportional to k^-2,
+    coefficient of the function f_k of an input ~ N(0, (share |v| w_k)^2),   w_k proportional to k^-2,
 
 scaled so that the modulation g has an rms of ``share``. Standard deviations that fall with k^-2 are the prior of a
 function with a finite mean square of its second derivative (the spline prior: Wahba, Spline Models for Observational
@@ -53,7 +53,7 @@ _NOISE_SHARES = np.geomspace(0.02, 1.0, 40)
 
 @dataclass(frozen=True, eq=False)
 class DiscrepancyTerm:
-    """Possible columns of a term's discrepancy term for one driver.
+    """Possible columns of a term's discrepancy term for one input.
 
     ``rows`` (m, 3 n) are their whitened displacements, ``sd`` (m,) their prior standard deviations at a share of one.
     """
@@ -64,7 +64,7 @@ class DiscrepancyTerm:
 
 
 def possible_discrepancies(data: ArmData, fit: JointFit, number: int) -> list[DiscrepancyTerm]:
-    """Return the possible discrepancy term of a term for each driver of its effect; none for terms without a law."""
+    """Return the possible discrepancy term of a term for each input of its effect; none for terms without a law."""
     term = fit.terms[number]
     effect = term.effect
     if effect is None:
@@ -74,8 +74,8 @@ def possible_discrepancies(data: ArmData, fit: JointFit, number: int) -> list[Di
     sizes = _sizes(fit, number)
     columns = [column for column in columns if sizes[column.name] > 0.0]
     found = []
-    for driver in effect.discrepancy_inputs:
-        ones = _lowest_orders(modulations(driver, columns, data.context))
+    for variable in effect.discrepancy_inputs:
+        ones = _lowest_orders(modulations(variable, columns, data.context))
         if ones:
             found.append(_discrepancy_term(data, fit, columns, ones, sizes))
     return found
@@ -109,15 +109,15 @@ def _discrepancy_term(
 ) -> DiscrepancyTerm:
     by_name = {column.name: column for column in columns}
     rows = fit.displacements([one.column(by_name[one.base], data.context) for one in ones])
-    variables = {one.base: len({other.driver for other in ones if other.base == one.base}) for one in ones}
+    variables = {one.base: len({other.variable for other in ones if other.base == one.base}) for one in ones}
     weights = np.array([_weight(one) / math.sqrt(variables[one.base]) for one in ones])
     return DiscrepancyTerm(ones, rows, weights * np.array([sizes[one.base] for one in ones]))
 
 
 def _weight(one: Modulation) -> float:
     """Return a coefficient's standard deviation for g of unit rms: k^-2, as a cosine has a mean square of 1/2."""
-    harmonics = closes(one.driver)
-    most = HARMONICS if harmonics else (OWN_HALF_CYCLES if one.driver is None else HALF_CYCLES)
+    harmonics = closes(one.variable)
+    most = HARMONICS if harmonics else (OWN_HALF_CYCLES if one.variable is None else HALF_CYCLES)
     orders = np.arange(1, most + 1)
     square = float(np.sum(orders.astype(np.float64) ** -4)) * (1.0 if harmonics else 0.5)
     return float(one.order**-2 / math.sqrt(square))
@@ -224,10 +224,10 @@ def _free_terms(state: SearchState) -> tuple[ModelTerm, ...]:
 def _best_shares(
     fit: JointFit, projector: NuisanceProjector, parts: Sequence[DiscrepancyTerm]
 ) -> tuple[list[tuple[DiscrepancyTerm, float]], float]:
-    """Choose drivers of a discrepancy term and their shares beside other parameters; return also the gain of 2 ln
+    """Choose inputs of a discrepancy term and their shares beside other parameters; return also the gain of 2 ln
     evidence.
 
-    The best driver joins while the evidence gains enough.
+    The best input joins while the evidence gains enough.
     """
     if not parts:
         return [], 0.0

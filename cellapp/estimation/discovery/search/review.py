@@ -31,7 +31,7 @@ from cellapp.estimation.discovery.search.state import (
 )
 from cellapp.ground.counting import counted
 from cellapp.robot.effects import EFFECTS, InputVariable
-from cellapp.robot.effects.effect import form_without_bounds, sentence
+from cellapp.robot.effects.effect import borrowed, sentence
 from cellapp.robot.effects.periodic import LINES
 from cellapp.robot.kinematics.transforms import Array
 
@@ -218,7 +218,7 @@ def _contradiction(problem: SearchProblem, state: SearchState) -> SearchStep | N
     for score in scan.ranked(residual, least=problem.threshold)[:_TRIED]:
         if score.value <= problem.threshold:
             break
-        if not impossible_blocks(residual, score, NEARLY)[0] or _left_over(state, score):
+        if not impossible_blocks(residual, score, NEARLY)[0] or _confounded_explains_more(state, score):
             continue
         term = _impossible_term(state, score)
         if term is None:
@@ -234,7 +234,7 @@ def _contradiction(problem: SearchProblem, state: SearchState) -> SearchStep | N
     return None
 
 
-def _left_over(state: SearchState, score: LawScore) -> bool:
+def _confounded_explains_more(state: SearchState, score: LawScore) -> bool:
     """Return whether a named confounded effect explains far more: an impossible law beside it is only that law's
     residual."""
     explained = score.explained_share * state.fit.projected_residual.square
@@ -276,7 +276,7 @@ def _impossible_term(state: SearchState, score: LawScore) -> ModelTerm | None:
         if not column.lower <= value <= column.upper
     ]
     note = sentence(effect, [column for column, _ in outside], [value for _, value in outside])
-    unbounded = form_without_bounds(effect, law.form).law(law.constants, law.tried)
+    unbounded = borrowed("contradiction", effect, law.form).law(law.constants, law.tried)
     return ModelTerm(UNKNOWN, unbounded, score.names, note=note)
 
 

@@ -164,7 +164,7 @@ _CLEARLY = 1.1
 """Lead of free functions, relative to all scores of names, that ends their search: a true law scores as much as a free
 function to a few percent."""
 _NULL_SEED = 0xD15C
-"""Combined with the profile's seed, so that the simulated noise is independent of all other draws."""
+"""Combined with the profile's seed, so that the simulated noise is independent of all other samples."""
 
 
 SEARCH_STEPS = 4
@@ -205,7 +205,7 @@ def search(data: ArmData, slugs: Sequence[str], steps: JobSteps) -> SearchResult
 
 def _claim(data: ArmData, start: SearchState, before_names: SearchState | None) -> float:
     """Return the ratio of the scatter of positions to what they state, about free functions; 1 if nothing is stated."""
-    points = data.positions
+    points = data.points
     if data.stated is None or states_nothing(data.stated[points]):
         return 1.0
     about_geometry = scatter(data, start.fit)
@@ -217,17 +217,17 @@ def _claim(data: ArmData, start: SearchState, before_names: SearchState | None) 
     return min(ratios)
 
 
-def _probability_of_answers(found: SearchResult, probable: Posteriors) -> list[tuple[float, bool]]:
+def _probabilities_of_sets(found: SearchResult, probable: Posteriors) -> list[tuple[float, bool]]:
     """Return the probability of each term's name and of the alternatives that the data cannot distinguish from it, in
     order.
 
     The second value tells whether such an alternative is more probable than the name.
     """
-    answers = []
+    sets = []
     for own, one in zip(probable.terms, found.reviews, strict=True):
         likely = [probable.effects.get(other.effect, 0.0) for other in one.alternatives if not other.distinguishable]
-        answers.append((own + sum(likely), own < max(likely, default=0.0)))
-    return answers
+        sets.append((own + sum(likely), own < max(likely, default=0.0)))
+    return sets
 
 
 def _result(problem: SearchProblem, state: SearchState, geometry_only: JointFit) -> SearchResult:
@@ -258,16 +258,16 @@ def _probable(problem: SearchProblem, found: SearchResult, state: SearchState) -
     """
     while True:
         probable = posteriors_of(found, remaining_scan(found))
-        answers = _probability_of_answers(found, probable)
+        sets = _probabilities_of_sets(found, probable)
         smooth = smooth_numbers(state.fit.terms)
-        if nameless := [number for number in smooth if answers[number][1] or answers[number][0] < _EVEN_ODDS]:
-            improbable = {state.fit.terms[number].slug: answers[number][0] for number in nameless}
+        if nameless := [number for number in smooth if sets[number][1] or sets[number][0] < _EVEN_ODDS]:
+            improbable = {state.fit.terms[number].slug: sets[number][0] for number in nameless}
             state = replace(state, fit=without_names(state.fit, nameless))
             found = replace(_result(problem, state, found.geometry_only), improbable={**found.improbable, **improbable})
             continue
         unlikely = [
             (probability, number)
-            for number, (probability, led) in enumerate(answers)
+            for number, (probability, led) in enumerate(sets)
             if state.fit.terms[number].slug != UNKNOWN and (led or probability < _EVEN_ODDS)
         ]
         reviews = list(found.reviews)
@@ -284,7 +284,7 @@ def _probable(problem: SearchProblem, found: SearchResult, state: SearchState) -
             found = replace(found, reviews=tuple(reviews))
             if unlikely:
                 probable = posteriors_of(found, remaining_scan(found))
-                others = [probability for probability, _ in _probability_of_answers(found, probable)]
+                others = [probability for probability, _ in _probabilities_of_sets(found, probable)]
                 if any(others[number] < _EVEN_ODDS for _, number in unlikely):
                     continue  # with its alternatives limited it is improbable by itself
             unnamed = without_imitations(problem, state)

@@ -23,7 +23,7 @@ from cellapp.estimation.discovery.records import BeforeAfter, HeldOutBeforeAfter
 from cellapp.estimation.discovery.search.state import SearchProblem, SearchResult, SearchState
 from cellapp.ground.grouping import grouped
 from cellapp.robot.effects import EFFECTS
-from cellapp.robot.effects.effect import is_unnamed, lent_effect, unnamed
+from cellapp.robot.effects.effect import borrowed, is_unnamed, lent_effect
 from cellapp.robot.kinematics.transforms import Array
 
 _MOSTLY = 0.5
@@ -36,7 +36,7 @@ def without_name(term: ModelTerm) -> ModelTerm:
     """Return a smooth term as a part of the unnamed term."""
     if is_unnamed(term.law):
         return term
-    law = unnamed(EFFECTS[term.slug], term.law.form).law(term.law.constants, term.law.tried)
+    law = borrowed("unnamed", EFFECTS[term.slug], term.law.form).law(term.law.constants, term.law.tried)
     return replace(term, slug=UNKNOWN, law=law)
 
 
@@ -92,7 +92,7 @@ def _without(problem: SearchProblem, found: SearchResult, parts: Collection[int]
 def _errors(found: SearchResult, fit: JointFit | None = None) -> Array:
     """Return the position errors (n,) [m] of left-out readings by the outcome's fit or by another one."""
     residual = left_out(found.data, fit or found.fit)
-    return np.asarray(np.linalg.norm(residual[found.data.positions], axis=1))
+    return np.asarray(np.linalg.norm(residual[found.data.points], axis=1))
 
 
 def _spread(scaled: Array) -> float:

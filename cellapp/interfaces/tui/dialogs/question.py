@@ -57,6 +57,12 @@ class ChosenAnswer:
     variant: ButtonVariant = "default"
 
 
+BEGIN = (ChosenAnswer("begin", "Begin", "b", "success"), ChosenAnswer("no", "Not now", "n"))
+WRITE = (ChosenAnswer("write", "Write", "ctrl+s", "success"), ChosenAnswer("no", "Close", "f10"))
+USE_STALE = (ChosenAnswer("no", "Not now", "n"), ChosenAnswer("begin", "Use this model all the same", "u", "warning"))
+"""Answers if the model is out of date; the first one has the focus."""
+
+
 class AnswerQuestion(Question[A]):
     """A question with a row of answers below its text. The first answer has the focus, so Enter gives it.
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, ClassVar
 from textual import work as in_thread
 from textual.app import ComposeResult
 from textual.binding import BindingType
-from textual.widgets import Static, TabbedContent, TabPane
+from textual.widgets import TabbedContent
 from textual.worker import get_current_worker
 
 from cellapp.commands.certificate.request import VERB as CERTIFICATE_VERB
@@ -21,30 +21,21 @@ from cellapp.commands.check.request import STOPS
 from cellapp.commands.check.request import VERB as CHECK_VERB
 from cellapp.commands.docs.keys import SHOWN
 from cellapp.commands.iso9283.request import VERB as ISO9283_VERB
+from cellapp.commands.record import Verb
 from cellapp.commands.report.request import VERB as REPORT
-from cellapp.commands.run_results import RunResults
 from cellapp.estimation.iso9283.norm import ISO_COMMANDS, ISO_TESTS
-from cellapp.ground.results import CERTIFICATE, CHECK, ISO9283, StageName
+from cellapp.ground.results import CALIBRATE, CERTIFICATE, CHECK, ISO9283, StageName
 from cellapp.interfaces.tui import verb_jobs
-from cellapp.interfaces.tui.confirmations import BEGIN, USE_STALE, arms_words, ask_of_calibrated
 from cellapp.interfaces.tui.dialogs.question import ChosenAnswer
-from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.keys import bind, with_keys
 from cellapp.interfaces.tui.run_state import COPY_IT, RunState
-from cellapp.interfaces.tui.screens.base import DayScreen
-from cellapp.interfaces.tui.widgets.parts_view import PartsView, words_first
+from cellapp.interfaces.tui.screens.tabs import TabsScreen, id_of
+from cellapp.interfaces.tui.widgets.controls import Line
+from cellapp.interfaces.tui.widgets.parts_view import words_first
 from cellapp.interfaces.tui.workspace import Step, Workspace, new_folder
 
 if TYPE_CHECKING:
     from cellapp.commands.report.summary import RunVerdict
-    from cellapp.commands.view.parts import Parts
-
-
-def _certificate_words(workspace: Workspace) -> str:
-    """Return what a person must know before a certificate is written."""
-    complaints = () if workspace.overview is None else workspace.overview.complaints
-    marks = f" OUT OF DATE: {'; '.join(complaints)}." if complaints else ""
-    return f"What was measured in {workspace.folder}, judged by its tolerances; what was not given is named.{marks}"
 
 
 def verdict(folder: Path) -> RunVerdict | None:
@@ -68,15 +59,21 @@ _NOT_TESTED = (
     f"Nothing was tested yet. {SHOWN['measure']} measures by ISO 9283: pose accuracy, repeatability, and more."
 )
 _NO_CERTIFICATE = f"No certificate was written yet. {SHOWN['export']} writes it."
+_SHOWN: tuple[tuple[Verb, StageName, str, str], ...] = (
+    (CHECK_VERB, CHECK, "check", "Check"),
+    (ISO9283_VERB, ISO9283, "measure", "ISO 9283"),
+    (CERTIFICATE_VERB, CERTIFICATE, "export", "Certificate"),
+)
+"""Verbs that measure or state, their stages, the keys that do it again, and the tabs."""
 _READING = "reading the run ..."
 _NOMINAL = "Tests by ISO 9283 with nominal commands need no calibration."
 _UNREADABLE = "The run cannot be judged; the message line says what is wrong with it."
 
 
-class AcceptScreen(DayScreen):
+class AcceptScreen(TabsScreen):
     """Verdict, check, ISO 9283, certificate, report."""
 
-    AUTO_FOCUS = "#verdict-tables"
+    AUTO_FOCUS = "#verdict PartsView"
     STEP: ClassVar[Step] = "accept"
     BINDINGS: ClassVar[list[BindingType]] = [
         bind("go", "report", "Report", "write the page"),
@@ -86,18 +83,12 @@ class AcceptScreen(DayScreen):
         bind("tab", "next_tab", "Next tab"),
     ]
 
+    TABS: ClassVar[tuple[str, ...]] = ("Verdict", "Check", "ISO 9283", "Certificate")
+
     def body(self) -> ComposeResult:
-        yield Static("", id="decision", markup=False)
-        yield Static("", id="outdated", markup=False)
-        with TabbedContent(id="accept"):
-            with TabPane("Verdict", id="verdict-pane"):
-                yield PartsView(_NOT_JUDGED, id="verdict-tables")
-            with TabPane("Check", id="check-pane"):
-                yield PartsView(id="check-tables")
-            with TabPane("ISO 9283", id="iso9283-pane"):
-                yield PartsView(id="iso9283-tables")
-            with TabPane("Certificate", id="certificate-pane"):
-                yield PartsView(id="certificate-tables")
+        yield Line(id="decision")
+        yield Line(id="outdated")
+        yield from super().body()
 
     # -- keys ----------------------------------------------------------------------------------------------------------
 
@@ -108,45 +99,40 @@ class AcceptScreen(DayScreen):
             " is sure; no model is changed;"
         )
         given = {"tracker_pose": None, "simulated_pose": None}
-        if ask_of_calibrated(self, CHECK_VERB, words, given, {"stops": STOPS}):
-            self.show_tab(CHECK)
+        if (calibrated := self.calibrated_run()) is not None:
+            self.show_tab("Check")
+            self.ask_verb(CHECK_VERB, words, {"folder": calibrated[0], **given}, proposed={"stops": STOPS})
 
     def action_iso9283(self) -> None:
         """Ask which tests, then make them in the open run, or else in a new run of the profile."""
         workspace = self.workspace
-        profile, results = workspace.profile, workspace.results
+        profile = workspace.profile
         if profile is None:
             self.say(self.state.no_run, "warning")
             return
         folder = workspace.folder or new_folder(profile)
-        calibrated = results is not None and results.calibrate is not None
-        commands = ISO_COMMANDS if calibrated else ("nominal",)
-        stale = workspace.stale
+        commands = ISO_COMMANDS if workspace.stored(CALIBRATE) else ("nominal",)
         where = f", in {folder}" if workspace.folder is None else ""  # the first line of the screen shows an open run
-        text = f"Drive to the test cube's poses{where}; {arms_words(workspace)}."
-        if stale:
-            text += f"\nThe model is not up to date: {stale}."
         cell = workspace.profile_path if workspace.folder is None else None  # a run has its own profile
         tests = [test for test in ISO_TESTS if test != "cooperative" or len(profile.arms) > 1]
-        self.show_tab(ISO9283)
+        self.show_tab("ISO 9283")
         self.ask_verb(
-            VerbQuestion(
-                ISO9283_VERB,
-                text,
-                USE_STALE if stale else BEGIN,
-                {"profile": cell, "folder": folder, "out_of_date": bool(stale)},
-                proposed={"tests": ("pose",), "commands": commands},
-                choices={"tests": tests, "commands": commands, "arms": tuple(profile.arms)},
-            )
+            ISO9283_VERB,
+            f"Drive to the test cube's poses{where};",
+            {"profile": cell, "folder": folder},
+            proposed={"tests": ("pose",), "commands": commands},
+            choices={"tests": tests, "commands": commands, "arms": tuple(profile.arms)},
         )
 
     def action_certificate(self) -> None:
         """Ask for number and data, then write the certificate."""
         if (folder := self.open_folder()) is not None:
-            self.show_tab(CERTIFICATE)
-            text = f"{_certificate_words(self.workspace)} Nothing moves."
+            self.show_tab("Certificate")
+            overview = self.workspace.overview
+            late = f" OUT OF DATE: {'; '.join(overview.complaints)}." if overview and overview.complaints else ""
+            text = f"What was measured in {folder}, judged by its tolerances; what was not given is named.{late}"
             write = ChosenAnswer("send", "Write", "w", "success"), ChosenAnswer("no", "Not now", "n")
-            self.ask_verb(VerbQuestion(CERTIFICATE_VERB, text, write, {"folder": folder}))
+            self.ask_verb(CERTIFICATE_VERB, f"{text} Nothing moves.", {"folder": folder}, write)
 
     def action_report(self) -> None:
         """Write the report of the open run."""
@@ -154,27 +140,25 @@ class AcceptScreen(DayScreen):
             self.start(verb_jobs.job_of(REPORT, folder=calibrated[0]))
 
     def tab_shown(self, tabs: TabbedContent) -> None:
-        """Focus the tables of the tab."""
-        self._scroll(tabs.active)
+        """Let the keys scroll the parts of the tab."""
+        self.call_after_refresh(tabs.query_one(f"#{tabs.active} PartsView").focus)
 
-    def show_tab(self, stage: StageName) -> None:
-        """Show the tab of a stage."""
-        self.query_one("#accept", TabbedContent).active = f"{stage}-pane"
-        self._scroll(f"{stage}-pane")
-
-    def _scroll(self, pane: str) -> None:
-        """Let the keys scroll the tables of a tab."""
-        self.call_after_refresh(self.query_one(f"#{pane}").query_one(PartsView).focus)
+    def show_tab(self, title: str) -> None:
+        """Show a tab."""
+        tabs = self.query_one(TabbedContent)
+        tabs.active = id_of(title)
+        self.tab_shown(tabs)
 
     # -- drawing -------------------------------------------------------------------------------------------------------
 
     def show_state(self, state: RunState) -> None:
         """Say why there is no result and no verdict."""
-        for place, empty in (("check", _NOT_CHECKED), ("iso9283", _NOT_TESTED), ("certificate", _NO_CERTIFICATE)):
-            needs = state.no_run if place == "certificate" else state.not_calibrated if place == "check" else ""
+        self.tab("Verdict").say_empty(_NOT_JUDGED)
+        for title, empty in (("Check", _NOT_CHECKED), ("ISO 9283", _NOT_TESTED), ("Certificate", _NO_CERTIFICATE)):
+            needs = {"Check": state.not_calibrated, "Certificate": state.no_run}.get(title, "")
             busy = state.nothing(self.STEP, "") if state.job is not None and state.job.step == self.STEP else ""
-            locked = COPY_IT if state.read_only else ""
-            self.query_one(f"#{place}-tables", PartsView).say_empty(busy or needs or locked or empty)
+            locked = COPY_IT if state.workspace.read_only else ""
+            self.tab(title).say_empty(busy or needs or locked or empty)
         if state.no_run:
             self._draw_verdict(None, state.no_run)
         elif state.not_calibrated:
@@ -183,10 +167,13 @@ class AcceptScreen(DayScreen):
     def show_run(self, workspace: Workspace) -> None:
         """Draw the content of the run, and judge it in a thread."""
         marks = () if workspace.overview is None else workspace.overview.complaints
-        outdated = self.query_one("#outdated", Static)
-        outdated.update("\n".join(f"! OUT OF DATE: {with_keys(mark)}" for mark in marks))
+        outdated = self.query_one("#outdated", Line)
+        outdated.say("\n".join(f"! OUT OF DATE: {with_keys(mark)}" for mark in marks))
         outdated.display = bool(marks)
-        self._draw_measured(workspace.results)
+        for verb, stage, key, title in _SHOWN:
+            result = workspace.stored(stage)
+            parts = () if result is None else verb.view(result).parts
+            self.tab(title).show(words_first(parts), self.outdated(stage, key, "does it again"))
         if workspace.folder is None:
             self._draw_verdict(None, self.state.no_run)
         else:
@@ -208,7 +195,7 @@ class AcceptScreen(DayScreen):
     def _draw_verdict(self, verdict: RunVerdict | None, why_not: str) -> None:
         from cellapp.commands.report.summary import verdict_sentences, verdict_tables
 
-        tables = self.query_one("#verdict-tables", PartsView)
+        tables = self.tab("Verdict")
         if verdict is None:
             self._draw_decision("", why_not)
             tables.show([])
@@ -219,19 +206,4 @@ class AcceptScreen(DayScreen):
         tables.show((*verdict_tables(verdict), *verdict_sentences(verdict)))
 
     def _draw_decision(self, state: str, sentence: str) -> None:
-        decision = self.query_one("#decision", Static)
-        decision.update(sentence)
-        decision.set_classes(state.replace(" ", "-"))
-
-    def _draw_measured(self, results: RunResults | None) -> None:
-        check, tests, certificate = (
-            (None, None, None) if results is None else (results.check, results.iso9283, results.certificate)
-        )
-        self._draw_stage(CHECK, "check", () if check is None else CHECK_VERB.view(check).parts)
-        self._draw_stage(ISO9283, "measure", () if tests is None else ISO9283_VERB.view(tests).parts)
-        self._draw_stage(CERTIFICATE, "export", () if certificate is None else CERTIFICATE_VERB.view(certificate).parts)
-
-    def _draw_stage(self, stage: StageName, again: str, parts: Parts) -> None:
-        """Draw a result, below a mark if it is out of date."""
-        outdated = self.outdated(stage, again, "does it again")
-        self.query_one(f"#{stage}-tables", PartsView).show(words_first(parts), outdated)
+        self.query_one("#decision", Line).say(sentence, state.replace(" ", "-"))

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 from textual.app import ComposeResult
 from textual.binding import Binding
@@ -15,7 +15,7 @@ from textual.screen import Screen
 from textual.widgets import Static, TabbedContent, TabPane
 
 from cellapp.commands.docs.keys import KEYS, SHOWN
-from cellapp.interfaces.tui.dialogs.question import Choice
+from cellapp.interfaces.tui.dialogs.question import BEGIN, USE_STALE, Choice, ChosenAnswer
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.host import Host
 from cellapp.interfaces.tui.job_record import JobRecord
@@ -23,12 +23,12 @@ from cellapp.interfaces.tui.keys import way_of
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.verb_jobs import verb_job
 from cellapp.interfaces.tui.widgets.arm_panel import JobPanel, LiveStrip
-from cellapp.interfaces.tui.widgets.controls import KeyLine
+from cellapp.interfaces.tui.widgets.controls import KeyLine, Line
 from cellapp.interfaces.tui.widgets.header import DayHeader, StepLine
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
 if TYPE_CHECKING:
-    from cellapp.commands.record import Request
+    from cellapp.commands.record import Request, Verb
     from cellapp.commands.run_results import RunResults
     from cellapp.estimation.calibration.records import CalibrateResult
     from cellapp.ground.results import Result, StageName
@@ -93,8 +93,8 @@ class DayScreen(Screen[None]):
         yield Static(_TOO_SMALL, classes="too-small", markup=False)
         with Vertical(classes="body"):
             yield from self.body()
-        yield Static("", classes="next-words", markup=False)
-        yield Static("", classes="message", markup=False)
+        yield Line(classes="next-words")
+        yield Line(classes="message")
         yield KeyLine()
 
     def body(self) -> ComposeResult:
@@ -104,8 +104,8 @@ class DayScreen(Screen[None]):
     def show_workspace(self, workspace: Workspace) -> None:
         """Draw the open profile and run, unless they are drawn already."""
         if workspace is not self._shown:
-            self._shown = workspace
             self.show_run(workspace)
+            self._shown = workspace  # only now: if a widget was missing above, the next call draws it
 
     def show_run(self, workspace: Workspace) -> None:
         """Draw the open profile and run, which have changed."""
@@ -119,9 +119,9 @@ class DayScreen(Screen[None]):
             panel.show(record)
         if state != self._state:
             self.query_one(StepLine).show(state.marks, self.STEP)
-            line = self.query_one(".next-words", Static)
+            line = self.query_one(".next-words", Line)
             line.display = state.job is None
-            line.update(state.next_words)
+            line.say(state.next_words)
             self.show_state(state)
             self._state = state  # only now: if a widget was missing above, the next call draws it
 
@@ -143,7 +143,31 @@ class DayScreen(Screen[None]):
         """Ask, and begin unless the answer is no."""
         self.app.push_screen(question, lambda answer: begin() if answer not in (None, "no") else None)
 
-    def ask_verb(self, question: VerbQuestion) -> None:
+    def moving_words(self, text: str) -> str:
+        """Say with a text which arms move, and whether the model in force should not be used."""
+        stale = self.workspace.stale
+        return f"{text} {self.workspace.arms_words}." + (f"\nThe model is not up to date: {stale}." if stale else "")
+
+    def question_of(
+        self, verb: Verb, text: str, given: Mapping[str, Any], answers: Sequence[ChosenAnswer] = BEGIN, **more: Any
+    ) -> VerbQuestion:
+        """Return the dialog of a verb; where arms move, it says so, and asks whether a model out of date is used.
+
+        ``more`` are further arguments of the dialog, as ``proposed`` values.
+        """
+        stale = self.workspace.stale if verb.moves_arms else ""
+        if "out_of_date" in verb.request.model_fields:
+            given, answers = {**given, "out_of_date": bool(stale)}, USE_STALE if stale else answers
+        text = self.moving_words(text) if verb.moves_arms else text
+        return VerbQuestion(verb, text, answers, given, simulated=self.workspace.kind == "simulated", **more)
+
+    def ask_verb(
+        self, verb: Verb, text: str, given: Mapping[str, Any], answers: Sequence[ChosenAnswer] = BEGIN, **more: Any
+    ) -> None:
+        """Ask for the request of a verb, as ``question_of`` says, then run it."""
+        self.ask_request(self.question_of(verb, text, given, answers, **more))
+
+    def ask_request(self, question: VerbQuestion) -> None:
         """Ask for the request of a verb, then run it."""
 
         def begin(request: Request | None) -> None:

@@ -6,7 +6,6 @@ Dialog for the format and the file of an export of calibrated arms or commands f
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
@@ -15,7 +14,7 @@ from textual import work as in_thread
 from textual.app import ComposeResult
 from textual.binding import BindingType
 from textual.widget import Widget
-from textual.widgets import Input, OptionList, TabbedContent, TabPane
+from textual.widgets import Input, OptionList
 from textual.widgets.option_list import Option
 
 from cellapp.cell.exports.arm_export import ExportResult
@@ -31,13 +30,11 @@ from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import with_effects
 from cellapp.ground.results import CALIBRATE, Result
 from cellapp.interfaces.tui import verb_jobs
-from cellapp.interfaces.tui.confirmations import BEGIN, WRITE, offer_again
-from cellapp.interfaces.tui.dialogs.question import ChosenAnswer, reading_of
+from cellapp.interfaces.tui.confirmations import offer_again
+from cellapp.interfaces.tui.dialogs.question import WRITE, ChosenAnswer, reading_of
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.keys import bind
-from cellapp.interfaces.tui.run_state import RunState
-from cellapp.interfaces.tui.screens.base import DayScreen
-from cellapp.interfaces.tui.widgets.parts_view import PartsView
+from cellapp.interfaces.tui.screens.tabs import TabsScreen
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
 
@@ -96,7 +93,7 @@ class ExportArms(VerbQuestion):
             super().action_answer(value)
 
 
-class CalibrateScreen(DayScreen):
+class CalibrateScreen(TabsScreen):
     """Errors by stage, residuals, parameters; calibrate again."""
 
     STEP: ClassVar[Step] = "calibrate"
@@ -107,38 +104,26 @@ class CalibrateScreen(DayScreen):
         bind("export", "export", "Export", "write the calibrated arms for other programs"),
     ]
 
-    def __init__(self) -> None:
-        super().__init__()
-        self._data: ReportData | None = None
-
-    def body(self) -> ComposeResult:
-        with TabbedContent(id="calibration"):
-            with TabPane("Stages", id="stages"):
-                yield PartsView(id="stage-tables")
-            with TabPane("Errors", id="errors"):
-                yield PartsView(id="error-charts")
-            with TabPane("Parameters", id="parameters"):
-                yield PartsView(id="parameter-tables")
+    TABS: ClassVar[tuple[str, ...]] = ("Stages", "Errors", "Parameters")
 
     # -- keys ----------------------------------------------------------------------------------------------------------
 
     def action_begin(self) -> None:
         """Calibrate the open run."""
         if folder := self.open_folder():
-            job = verb_jobs.job_of(request.VERB, folder=folder)
-            offer_again(self, "Calibrate again?", self._result, CALIBRATE, partial(self.start, job))
+            offer_again(self, "Calibrate again?", CALIBRATE, verb_jobs.job_of(request.VERB, folder=folder))
 
     def action_otherwise(self) -> None:
         """Ask for an earlier run as prior and for the network, then calibrate the open run."""
         if (folder := self.open_folder()) is not None:
             text = "What is stored stays. An earlier run of the same arms is a prior. Nothing moves."
-            self.ask_verb(VerbQuestion(request.VERB, text, BEGIN, {"folder": folder, "parameters": False}))
+            self.ask_verb(request.VERB, text, {"folder": folder, "parameters": False})
 
     def action_export(self) -> None:
         """Ask for format and file, then write the calibrated arms."""
         if (calibrated := self.calibrated_run()) is not None:
             folder, _, calibration = calibrated
-            self.ask_verb(ExportArms(folder, tuple(calibration.arms), WRITE))
+            self.ask_request(ExportArms(folder, tuple(calibration.arms), WRITE))
 
     def show_result(self, result: Result) -> None:
         """Show what was exported, and what the files do not contain."""
@@ -149,52 +134,33 @@ class CalibrateScreen(DayScreen):
 
     # -- drawing -------------------------------------------------------------------------------------------------------
 
-    @property
-    def _result(self) -> CalibrateResult | None:
-        results = self.workspace.results
-        return None if results is None else results.calibrate
-
     def show_run(self, workspace: Workspace) -> None:
-        """Draw the calibration of the run."""
-        result = self._result
-        tables, parameters = self.query_one("#stage-tables", PartsView), self.query_one("#parameter-tables", PartsView)
-        if result is None or workspace.results is None:
-            tables.show([])
-            parameters.show([])
-            self._data = None
-            self._draw_plots()
+        """Draw the calibration of the run; the plots are drawn when their data are read."""
+        result: CalibrateResult | None = workspace.stored(CALIBRATE)
+        if result is None:
+            for title in self.TABS:
+                self.tab(title).show([])
             return
         outdated = self.outdated(CALIBRATE, "go", "calibrates again")
-        tables.show((*calibration_tables(result), *tracker_sentences(result), *result.notes), outdated)
-        parameters.show(parameters_view(result).parts, outdated)
+        self.tab("Stages").show((*calibration_tables(result), *tracker_sentences(result), *result.notes), outdated)
+        self.tab("Parameters").show(parameters_view(result).parts, outdated)
         self._read(workspace)
-
-    def show_state(self, state: RunState) -> None:
-        """Say why there is no calibration."""
-        for view in self.query(PartsView):
-            view.say_empty(state.nothing(self.STEP, ""))
 
     @in_thread(thread=True, exclusive=True)
     def _read(self, workspace: Workspace) -> None:
         self.call_later(self._take, workspace, verb_jobs.report_data(workspace.folder))
 
     def _take(self, workspace: Workspace, data: ReportData | None) -> None:
-        """Draw the plots of the data, unless another workspace was opened meanwhile."""
-        if workspace is self._shown:
-            self._data = data
-            self._draw_plots()
-            if data is not None:
-                parts = parameters_view(values_in_force(data.calibrate, data.model)).parts
-                self.query_one("#parameter-tables", PartsView).show(
-                    parts, self.outdated(CALIBRATE, "go", "calibrates again")
-                )
-
-    def _draw_plots(self) -> None:
+        """Draw the plots of the data, and the parameters in force, unless another workspace was opened meanwhile."""
+        if workspace is not self._shown:
+            return
         charts: list[Chart] = []
-        if (data := self._data) is not None and data.held_out:
+        if data is not None:
             shown = data.calibrate if data.discover is None else with_effects(data.calibrate, data.discover)
             for name, arm in data.held_out.items():
                 charts.append(stage_chart(name, shown.arms[name]))
                 charts.append(error_histogram_chart(name, arm.errors_mm, shown.arms[name].tracker_mm))
             charts.append(pair_histogram_chart(shown))
-        self.query_one("#error-charts", PartsView).show(charts)
+            parts = parameters_view(values_in_force(data.calibrate, data.model)).parts
+            self.tab("Parameters").show(parts, self.outdated(CALIBRATE, "go", "calibrates again"))
+        self.tab("Errors").show(charts)

@@ -22,11 +22,11 @@ from cellapp.interfaces.tui import verb_jobs as verbs
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.keys import bind
 from cellapp.interfaces.tui.screens.base import DayScreen
+from cellapp.interfaces.tui.widgets.controls import Line
 from cellapp.interfaces.tui.widgets.tables import CellMap, FindingsTable, TextTable, age_words, explain_tabs
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
 if TYPE_CHECKING:
-    from cellapp.cell.driving.records import StopsResult
     from cellapp.commands.doctor.result import DoctorResult
     from cellapp.ground.profile import Profile
     from cellapp.ground.results import Result
@@ -57,21 +57,18 @@ class CellScreen(DayScreen):
     def __init__(self) -> None:
         super().__init__()
         self._found: list[Path] = []
-        self._profile: Profile | None = None
         self._doctor: DoctorResult | None = None
         self._doctor_path: Path | None = None
+        self._doctor_profile: Profile | None = None
         self._asked_path: Path | None = None
         self._doctor_at = datetime.now()
         self._written_ns = self._read_ns = 0
-        self._problem = ""
-        self._listed: Workspace | None = None
-        self._drawn: tuple[Profile | None, StopsResult | None] = (None, None)
 
     def body(self) -> ComposeResult:
         with Horizontal():
             yield _tipped(OptionList(id="profiles", markup=False, compact=True), "Profiles of the folder; Enter opens")
             with Vertical(id="cell-middle"):
-                yield Static("", id="cell-verdict", markup=False)
+                yield Line(id="cell-verdict")
                 with TabbedContent(id="cell-tabs", initial="tab-profile"):
                     with TabPane("Profile", id="tab-profile"):
                         yield _tipped(TextTable(id="cell-words", cursor_type="row"), "What the profile says")
@@ -203,33 +200,33 @@ class CellScreen(DayScreen):
 
         if isinstance(result, DoctorResult):
             self._doctor, self._doctor_path, self._doctor_at = result, self._asked_path, datetime.now()
-            self._written_ns = _written_ns(self._doctor_path)
+            self._doctor_profile, self._written_ns = self.workspace.profile, _written_ns(self._doctor_path)
             self.query_one(FindingsTable).show(result)
             self.query_one("#cell-tabs", TabbedContent).active = "tab-doctor"
 
     # -- drawing -------------------------------------------------------------------------------------------------------
 
     def show_workspace(self, workspace: Workspace) -> None:
-        """Draw the profile."""
-        if workspace.profile_path is not None:
-            self._list(workspace.profile_path)
-        if workspace.profile is not self._profile or workspace.problem != self._problem:
-            self._show_profile(workspace.profile, workspace.problem)
-        drawn = (workspace.profile, workspace.stops)
-        if drawn != self._drawn:
-            self._drawn = drawn
-            for plot in self.query(CellMap):
-                plot.show_cell(workspace.profile, () if workspace.stops is None else workspace.stops.stops)
-        if workspace is not self._listed:
-            self._listed = workspace
-            if self._runs is not None:
-                self._runs.action_read()
+        """Draw the profile if it has changed, and the doctor's verdict, which grows old."""
+        super().show_workspace(workspace)
         self._draw_doctor()
         self._draw_detail()
 
+    def show_run(self, workspace: Workspace) -> None:
+        """Draw the profile."""
+        if workspace.profile_path is not None:
+            self._list(workspace.profile_path)
+        self._read_ns = _written_ns(workspace.profile_path)
+        self._show_profile(workspace.profile, workspace.problem)
+        for plot in self.query(CellMap):
+            plot.show_cell(workspace.profile, () if workspace.stops is None else workspace.stops.stops)
+        if self._runs is not None:
+            self._runs.action_read()
+        if workspace.profile != self._doctor_profile and workspace.profile_path != self._doctor_path:
+            self._doctor = self._doctor_profile = None
+            self.query_one(FindingsTable).show(None)
+
     def _show_profile(self, profile: Profile | None, problem: str) -> None:
-        changed = profile is None or self._profile is None or profile != self._profile
-        self._profile, self._problem, self._read_ns = profile, problem, _written_ns(self.workspace.profile_path)
         words = self.query_one("#cell-words", DataTable)
         words.clear()
         if profile is None and problem:
@@ -241,19 +238,13 @@ class CellScreen(DayScreen):
 
             for row in (*cell_words(profile), *constraint_words(profile)):
                 words.add_row(*map(Text, row))
-        if changed and self._doctor is not None and self.workspace.profile_path != self._doctor_path:
-            self._doctor = None
-            self.query_one(FindingsTable).show(None)
 
     def _draw_age(self) -> None:
         if self.is_current:
             self._draw_doctor()
 
     def _draw_doctor(self) -> None:
-        verdict, kind = self._verdict()
-        line = self.query_one("#cell-verdict", Static)
-        line.update(verdict)
-        line.set_classes(kind)
+        self.query_one("#cell-verdict", Line).say(*self._verdict())
 
     def _verdict(self) -> tuple[str, str]:
         """Return the doctor's verdict in words, and the class that colours it."""

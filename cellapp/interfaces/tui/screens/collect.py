@@ -39,8 +39,7 @@ from cellapp.ground.counting import counted
 from cellapp.ground.errors import CellappError
 from cellapp.ground.progress import JobState
 from cellapp.interfaces.tui import verb_jobs as jobs
-from cellapp.interfaces.tui.confirmations import BEGIN, arms_words
-from cellapp.interfaces.tui.dialogs.question import Choice
+from cellapp.interfaces.tui.dialogs.question import BEGIN, Choice
 from cellapp.interfaces.tui.job_record import LEVELS, ArmRecord, JobRecord, LogRow, level_of
 from cellapp.interfaces.tui.jobs import Job
 from cellapp.interfaces.tui.keys import bind
@@ -50,6 +49,7 @@ from cellapp.interfaces.tui.terminal import since_words
 from cellapp.interfaces.tui.widgets.arm_panel import ArmPanel, TrackerPanel
 from cellapp.interfaces.tui.widgets.chart_plot import ChartPlot
 from cellapp.interfaces.tui.widgets.collected_stops import CollectedStops
+from cellapp.interfaces.tui.widgets.controls import Line
 from cellapp.interfaces.tui.widgets.log_pane import LogPane
 from cellapp.interfaces.tui.widgets.parts_view import PartsView
 from cellapp.interfaces.tui.widgets.progress_bars import ProgressBars, parts_of
@@ -105,12 +105,14 @@ def _of_run(state: RunState) -> Headline:
         return Headline("NO CELL" if state.stored == "no cell" else "NO RUN", state.no_run, "idle")
     if state.reading:
         return Headline("READING", state.reading, "idle")
-    if state.in_use:
-        return Headline("IN USE", f"by {state.in_use}. Shown is what was stored when it was opened.", "waiting")
+    if state.workspace.in_use:
+        return Headline(
+            "IN USE", f"by {state.workspace.in_use}. Shown is what was stored when it was opened.", "waiting"
+        )
     word, sentence, look = _of_stops(state)
-    if state.read_only:
+    if state.workspace.read_only:
         sentence = COPY_IT
-    elif state.drift and state.remaining:
+    elif state.workspace.drifts and state.remaining:
         sentence = f"The references moved beyond their limit: {SHOWN['drift']} accepts that and resumes. {sentence}"
     return Headline(word, sentence, look)
 
@@ -123,10 +125,10 @@ def _of_stops(state: RunState) -> tuple[str, str, Look]:
         return f"COMPLETE, {counted(measured, 'stop')}", f"{on}.", "done"
     if not measured:
         return f"READY, {counted(todo, 'stop')}", f"{go} begins. Nothing moves before it is confirmed.", "idle"
-    if state.outcome == "accurate enough":
+    if state.workspace.outcome == "accurate enough":
         sentence = f"{on}; {go} measures the {counted(todo, 'stop')} that are left."
         return f"ACCURATE ENOUGH, {measured} of {counted(measured + todo, 'stop')}", sentence, "idle"
-    if state.outcome == "complete":
+    if state.workspace.outcome == "complete":
         return (f"{todo} MORE STOPS", f"{measured} are measured; {go} measures those that were planned since.", "idle")
     sentence = f"{go} measures the {counted(todo, 'stop')} that are left."
     return f"INTERRUPTED, {measured} of {counted(measured + todo, 'stop')}", sentence, "idle"
@@ -163,15 +165,13 @@ class CollectScreen(DayScreen):
         self._plot = 0
         self._plotted: dict[str, tuple[object, ...]] = {}
         self._plot_waits = False
-        self._tabled: Workspace | None = None
         self._opened: Path | None = None
         self._job: Job | None = None
-        self._headline: Headline | None = None
         self._suspicions = 0
 
     def body(self) -> ComposeResult:
         self.add_class(self._first_view)  # before the widgets are there, whose styles depend on it
-        yield Static("", id="state", markup=False)
+        yield Line(id="state")
         yield Horizontal(id="arms")
         yield TrackerPanel()
         yield ProgressBars()
@@ -201,10 +201,10 @@ class CollectScreen(DayScreen):
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """Enable only actions that are possible now."""
         idle, state = not self.cell_app.jobs.running, self.state
-        free = idle and state.remaining > 0 and not (state.in_use or state.read_only or state.no_run)
-        drift = free and state.drift if idle else holds_for_drift(self.cell_app.record)
-        again = idle and not (state.in_use or state.read_only or state.no_run)
-        again = again and self.has_class("stops") and bool(self.query_one(CollectedStops).again)
+        usable = idle and not (self.workspace.in_use or self.workspace.read_only or state.no_run)
+        free = usable and state.remaining > 0
+        drift = free and self.workspace.drifts if idle else holds_for_drift(self.cell_app.record)
+        again = usable and self.has_class("stops") and bool(self.query_one(CollectedStops).again)
         return {"begin": free, "accept_drift": drift, "measure_again": again}.get(action, True)
 
     def action_begin(self) -> None:
@@ -241,7 +241,7 @@ class CollectScreen(DayScreen):
         if kind == "real" and not {"accept_drift", "again"} & asked.keys():
             self.start(job)
             return
-        moves = arms_words(self.workspace) + (", after one more question" if kind == "real" else "")
+        moves = self.workspace.arms_words + (", after one more question" if kind == "real" else "")
         text = f"Measure {what}. In {folder}; {moves}. Escape stops at any time; what is measured is kept."
         self.ask(Choice(title, text, BEGIN), lambda: self.start(job))
 
@@ -305,17 +305,19 @@ class CollectScreen(DayScreen):
     # -- drawing -------------------------------------------------------------------------------------------------------
 
     def show_workspace(self, workspace: Workspace) -> None:
-        """Draw the stored data of the run."""
-        if workspace is not self._tabled:
-            self._tabled = workspace
-            state = workspace.collection
-            self.query_one(PartsView).show([] if state is None else collection_tables(state))
-            self.query_one(CollectedStops).show(state)
+        """Draw the stored data of the run, and its log unless a job tells more."""
+        super().show_workspace(workspace)
         if workspace.folder != self._opened and not self.cell_app.jobs.running:
             self._opened = workspace.folder
             self.action_view(self._first_view)
             if workspace.folder is not None:
                 self._read_log(workspace.folder)
+
+    def show_run(self, workspace: Workspace) -> None:
+        """Draw the tables of what was collected."""
+        state = workspace.collection
+        self.query_one(PartsView).show([] if state is None else collection_tables(state))
+        self.query_one(CollectedStops).show(state)
 
     def show_state(self, state: RunState) -> None:
         """Say what is collected, if no table does."""
@@ -350,11 +352,7 @@ class CollectScreen(DayScreen):
 
     def _draw_state(self, record: JobRecord) -> None:
         now = headline(self.state, record, self.cell_app.jobs.control.request)
-        if now != self._headline:
-            self._headline = now
-            state = self.query_one("#state", Static)
-            state.update(Content.assemble((now.word, "bold"), f"  {now.sentence}"))
-            state.set_classes(now.look)
+        self.query_one("#state", Line).say(Content.assemble((now.word, "bold"), f"  {now.sentence}"), now.look)
 
     def _draw_arms(self, record: JobRecord) -> None:
         panels = {panel.arm_name: panel for panel in self.query(ArmPanel)}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
@@ -16,20 +17,18 @@ from cellapp.commands.export.request import VERB as EXPORT
 from cellapp.commands.plan.request import VERB as PLAN
 from cellapp.ground.counting import counted
 from cellapp.interfaces.tui import verb_jobs as verbs
-from cellapp.interfaces.tui.confirmations import BEGIN
-from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.keys import bind
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
+from cellapp.interfaces.tui.widgets.controls import Line
 from cellapp.interfaces.tui.widgets.parts_view import PartsView
 from cellapp.interfaces.tui.widgets.tables import CellMap, StopsTable, explain_tabs
 from cellapp.interfaces.tui.workspace import Step, Workspace, new_folder
 
 if TYPE_CHECKING:
-    from cellapp.cell.driving.records import StopsResult
+    from cellapp.cell.driving.records import PlannedStop
     from cellapp.cell.planning.records import PlanCheckResult, PlanForecastResult
     from cellapp.commands.view.parts import Parts
-    from cellapp.ground.profile import Profile
     from cellapp.ground.results import Result
 
 
@@ -59,17 +58,15 @@ class PlanScreen(DayScreen):
 
     def __init__(self) -> None:
         super().__init__()
-        self._profile: Profile | None = None
-        self._stops: StopsResult | None = None
-        self._folder: Path | None = None
+        self._planned: tuple[object, ...] = ()
         self._check: PlanCheckResult | None = None
         self._forecast: PlanForecastResult | None = None
         self._file_check: PlanCheckResult | None = None
 
     def body(self) -> ComposeResult:
-        yield Static("", id="plan-state", markup=False)
-        yield Static("", id="plan-safety", markup=False)
-        yield Static("", id="plan-time", markup=False)
+        yield Line(id="plan-state")
+        yield Line(id="plan-safety")
+        yield Line(id="plan-time")
         with TabbedContent(id="plan-tabs", initial="tab-constraints"):
             with TabPane("Limits", id="tab-constraints"):
                 yield PartsView(id="constraints")
@@ -113,7 +110,7 @@ class PlanScreen(DayScreen):
             " those of a table. Nothing moves."
         )
         given, proposed = {"profile": path, **_EDITS}, {"folder": new_folder(profile)}
-        self.ask_verb(VerbQuestion(PLAN, text, BEGIN, given, proposed=proposed))
+        self.ask_verb(PLAN, text, given, proposed=proposed)
 
     def action_change(self) -> None:
         """Ask what to change, then change the open run's plan."""
@@ -122,13 +119,13 @@ class PlanScreen(DayScreen):
                 "Further stops tell most beside those that are there. Designed again are all that are not measured,"
                 " proposed by discovery or frozen. One of these at a time; nothing moves."
             )
-            self.ask_verb(VerbQuestion(PLAN, text, BEGIN, {"folder": folder, **_NEW, "edit": True}))
+            self.ask_verb(PLAN, text, {"folder": folder, **_NEW, "edit": True})
 
     def action_write(self) -> None:
         """Ask where to write the plan."""
         if folder := self.planned_folder():
             given, proposed = {"folder": folder, **_OTHER_EXPORTS}, {"plan": folder / _PLAN_FILE}
-            self.ask_verb(VerbQuestion(EXPORT, "The plan as a table.", BEGIN, given, proposed=proposed))
+            self.ask_verb(EXPORT, "The plan as a table.", given, proposed=proposed)
 
     def action_check(self) -> None:
         """Check the plan of the open run."""
@@ -158,7 +155,7 @@ class PlanScreen(DayScreen):
             tabs.active = "tab-check"
             self._draw_results()
             return
-        if isinstance(result, PlanCheckResult | PlanForecastResult) and Path(result.run) != self._folder:
+        if isinstance(result, PlanCheckResult | PlanForecastResult) and Path(result.run) != self.workspace.folder:
             return  # another run was opened meanwhile
         if isinstance(result, PlanCheckResult):
             self._check, self._file_check = result, None
@@ -170,40 +167,23 @@ class PlanScreen(DayScreen):
                 tabs.active = "tab-forecast"
         self._draw_results()
 
-    def show_workspace(self, workspace: Workspace) -> None:
+    def show_run(self, workspace: Workspace) -> None:
         """Draw the constraints, the plan and its maps."""
-        self._profile = workspace.profile
-        stops = workspace.stops
-        same_plan = workspace.folder == self._folder and _planned(stops) == _planned(self._stops)
-        if not same_plan:
-            self._check = self._forecast = None
-        if stops is not self._stops or not same_plan or workspace.folder is None:
-            self._folder, self._stops = workspace.folder, stops
-            self._draw_maps(workspace)
+        from cellapp.commands.doctor.view import profile_tables
+
+        planned = (workspace.folder, *(stop.q for stop in _stops_of(workspace)))
+        if planned != self._planned:  # check and forecast depend on the joint positions of all stops
+            self._planned, self._check, self._forecast = planned, None, None
+        tables = [] if workspace.profile is None else profile_tables(workspace.profile)
+        self.query_one("#constraints", PartsView).show(tables[1:])
+        for drawn in self.query(CellMap):
+            drawn.show_cell(workspace.profile, _stops_of(workspace))
+        self._make_charts(workspace)
         self._draw_results()
 
     def show_state(self, state: RunState) -> None:
         """Say how much is planned and measured, or what to do."""
-        self.query_one("#plan-state", Static).update(_state_words(state, self.workspace))
-
-    def _draw_constraints(self) -> None:
-        from cellapp.commands.doctor.view import profile_tables
-
-        tables = [] if self._profile is None else profile_tables(self._profile)
-        self.query_one("#constraints", PartsView).show(tables[1:])
-
-    def _draw_maps(self, workspace: Workspace) -> None:
-        stops = () if workspace.stops is None else workspace.stops.stops
-        for drawn in self.query(CellMap):
-            drawn.show_cell(workspace.profile, stops)
-        self._draw_stops()
-        self._make_charts(workspace)
-
-    def _draw_stops(self) -> None:
-        """List the stops only while their tab is shown: thousands take half a second."""
-        if self.query_one("#plan-tabs", TabbedContent).active == "tab-stops":
-            stops = () if self._stops is None else self._stops.stops
-            self.query_one(StopsTable).show(stops, self.workspace.ways)
+        self.query_one("#plan-state", Line).say(_state_words(state, self.workspace))
 
     @work(thread=True, exclusive=True, group="charts", description="charts")
     def _make_charts(self, workspace: Workspace) -> None:
@@ -215,17 +195,16 @@ class PlanScreen(DayScreen):
         if profile is not None and ways is not None and stops is not None and stops.stops:
             sentences = (*load_sentences(stops.loads), *sweep_sentences(stops.sweeps))
             charts = design_charts_of(profile, stops.stops, ways, design)
-            self.call_later(self._show_design, stops, (*sentences, *charts, *design_tables_of(design)))
+            self.call_later(self._show_design, workspace, (*sentences, *charts, *design_tables_of(design)))
 
-    def _show_design(self, of: StopsResult, parts: Parts) -> None:
+    def _show_design(self, workspace: Workspace, parts: Parts) -> None:
         """Show the design, unless another run was opened meanwhile."""
-        if of is self._stops:
+        if workspace is self._shown:
             self.query_one("#plan-design", PartsView).show(parts)
 
     def _draw_results(self) -> None:
         """Draw check and forecast, or which keys start them."""
-        has_plan = self._stops is not None and bool(self._stops.stops)
-        self._draw_constraints()
+        has_plan = bool(_stops_of(self.workspace))
         self._draw_check(has_plan=has_plan)
         words = _NO_FORECAST if has_plan else ""
         shown = self.query_one("#forecast", PartsView)
@@ -236,36 +215,35 @@ class PlanScreen(DayScreen):
 
             shown.show((*forecast_sentences(forecast), *forecast_tables(forecast)))
             words = " ".join([time_sentence(forecast.time), *forecast.notes])
-        line = self.query_one("#plan-time", Static)
-        line.update(words)
+        line = self.query_one("#plan-time", Line)
+        line.say(words)
         line.display = bool(words)
         self._draw_detail()
 
     def _draw_check(self, *, has_plan: bool) -> None:
         """Draw the verdict on the open run's plan, and the refusals of this plan or of the last checked edited plan."""
-        line, check = self.query_one("#plan-safety", Static), self._check
-        line.update(f"Checked when it was planned; {SHOWN['check']} checks it again." if has_plan else "")
+        line, check = self.query_one("#plan-safety", Line), self._check
         line.display = has_plan
-        line.set_classes("")
         if check is not None:
-            line.update(_check_lines(check)[0])
-            line.set_classes("safe" if check.is_safe else "unsafe")
+            line.say(_check_lines(check)[0], "safe" if check.is_safe else "unsafe")
+        else:
+            line.say(f"Checked when it was planned; {SHOWN['check']} checks it again." if has_plan else "", "")
         listed = self._file_check or check
         self.query_one("#refusals", PartsView).show(() if listed is None else _check_lines(listed))
 
     @on(DataTable.RowHighlighted)
     @on(TabbedContent.TabActivated)
     def _draw_detail(self) -> None:
-        """Describe the selected stop while the stops are shown."""
-        self._draw_stops()
-        detail = self.query_one("#plan-detail", Static)
+        """List the stops and describe the selected one while their tab is shown: thousands take half a second."""
+        detail, table = self.query_one("#plan-detail", Static), self.query_one(StopsTable)
         detail.display = self.query_one("#plan-tabs", TabbedContent).active == "tab-stops"
-        detail.update(Text(self.query_one(StopsTable).selected_text))
+        if detail.display:
+            table.show(_stops_of(self.workspace), self.workspace.ways)
+        detail.update(Text(table.selected_text))
 
 
-def _planned(stops: StopsResult | None) -> tuple[object, ...]:
-    """Return what a check and a forecast depend on: the joint positions of all stops."""
-    return () if stops is None else tuple(stop.q for stop in stops.stops)
+def _stops_of(workspace: Workspace) -> Sequence[PlannedStop]:
+    return () if workspace.stops is None else workspace.stops.stops
 
 
 def _check_lines(check: PlanCheckResult) -> list[str]:
@@ -283,7 +261,7 @@ def _state_words(state: RunState, workspace: Workspace) -> str:
         return state.no_run
     if not state.planned:
         return NO_PLAN
-    reserves = (0 if workspace.stops is None else len(workspace.stops.stops)) - state.planned
+    reserves = len(_stops_of(workspace)) - state.planned
     more = f" and {reserves} in reserve" if reserves else ""
     now = state.measured if state.collecting else 0
     arms = [

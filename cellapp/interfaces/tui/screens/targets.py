@@ -43,10 +43,9 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import Result
 from cellapp.interfaces.tui import verb_jobs
-from cellapp.interfaces.tui.confirmations import BEGIN, READING_WIDTH, USE_STALE, WRITE, arms_words, ask_of_calibrated
+from cellapp.interfaces.tui.confirmations import READING_WIDTH
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
-from cellapp.interfaces.tui.dialogs.question import Choice, reading_of
-from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
+from cellapp.interfaces.tui.dialogs.question import BEGIN, USE_STALE, WRITE, Choice, reading_of
 from cellapp.interfaces.tui.keys import bind
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
@@ -215,34 +214,31 @@ class TargetsScreen(DayScreen):
     def action_push(self) -> None:
         """Ask, then drive to the targets."""
         if (folder := self._ready()) is not None:
-            stale, text = self._push_words("")
+            stale = bool(self.workspace.stale)
             given = {"folder": folder, "targets": self._targets, "verify": False, "out_of_date": stale}
-            answers = USE_STALE if stale else BEGIN
-            self.ask(Choice("Push?", text, answers), lambda: self.start(verb_jobs.job_of(PUSH, **given)))
+            question = Choice("Push?", self.moving_words(self._push_words("")), USE_STALE if stale else BEGIN)
+            self.ask(question, lambda: self.start(verb_jobs.job_of(PUSH, **given)))
 
     def action_verify(self) -> None:
         """Ask, also how often each target is corrected; then drive to the targets and measure."""
         if (folder := self._ready()) is not None:
-            stale, text = self._push_words(" with the nominal and the compensated command, measured by the tracker")
-            given = {"folder": folder, "targets": self._targets, "verify": True, "out_of_date": stale}
-            self.ask_verb(VerbQuestion(PUSH, text, USE_STALE if stale else BEGIN, given))
+            text = self._push_words(" with the nominal and the compensated command, measured by the tracker")
+            self.ask_verb(PUSH, text, {"folder": folder, "targets": self._targets, "verify": True})
 
-    def _push_words(self, measured: str) -> tuple[bool, str]:
-        """Return whether the model is out of date, and where a push drives to, with what a person must know."""
-        targets, stale = self._targets, self.workspace.stale
+    def _push_words(self, measured: str) -> str:
+        """Return where a push drives to."""
+        targets = self._targets
         counts = Counter(arm for target in targets for arm in target.arms)
         where = " and ".join(f"arm {arm} to {n}" for arm, n in counts.items())
         pairs = ", except at cooperative targets" if any(target.partner is not None for target in targets) else ""
-        text = f"Drive {where} targets{measured}; the other arm waits at home{pairs}; {arms_words(self.workspace)}."
-        if stale:
-            text += f"\nThe model is not up to date: {stale}. Better calibrate or discover again first."
-        return bool(stale), text
+        return f"Drive {where} targets{measured}; the other arm waits at home{pairs};"
 
     def action_locate(self) -> None:
         """Ask, then measure the pose of the tracker after it was moved."""
         words = "After the tracker was moved: measure a few points, so that the calibration holds from where it stands;"
-        given = {"tracker_moved": True, "simulated_plant": None}
-        ask_of_calibrated(self, CHECK, words, given, {"stops": STOPS_TO_LOCATE})
+        if (calibrated := self.calibrated_run()) is not None:
+            given = {"folder": calibrated[0], "tracker_moved": True, "simulated_plant": None}
+            self.ask_verb(CHECK, words, given, proposed={"stops": STOPS_TO_LOCATE})
 
     def action_correct(self) -> None:
         """Ask for a program and the file of its corrected copy."""
@@ -256,7 +252,7 @@ class TargetsScreen(DayScreen):
                 out = program.with_stem(f"{program.stem}-corrected")
                 proposed = {"out": out, "arm": arms[0] if len(arms) == 1 else None}
                 given, text = {"folder": folder, "targets": program}, f"{program.name}; nothing moves."
-                self.ask_verb(VerbQuestion(COMPENSATE, text, WRITE, given, proposed=proposed, choices={"arm": arms}))
+                self.ask_verb(COMPENSATE, text, given, WRITE, proposed=proposed, choices={"arm": arms})
 
         title = f"A program of a UR controller ({', '.join(PROGRAMS)})"
         self.app.push_screen(FilePicker(title, Path.cwd(), lambda path: path.suffix in PROGRAMS), ask)

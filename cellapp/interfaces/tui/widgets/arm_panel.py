@@ -15,7 +15,6 @@ from textual.containers import Vertical
 from textual.content import Content
 from textual.reactive import reactive
 from textual.widget import Widget
-from textual.widgets import Static
 
 from cellapp.ground.progress import CellLive
 from cellapp.interfaces.tui.host import Host
@@ -23,15 +22,13 @@ from cellapp.interfaces.tui.job_record import (
     HALT_WORDS,
     Activity,
     ArmRecord,
-    Banner,
-    JobPart,
     JobRecord,
-    LogRow,
     Look,
     TrackerRecord,
     banner_of,
     strip_of,
 )
+from cellapp.interfaces.tui.widgets.controls import Line
 from cellapp.interfaces.tui.widgets.progress_bars import ProgressBars, parts_of
 
 _STYLES: Mapping[Activity, str] = {
@@ -165,13 +162,12 @@ class JobPanel(Vertical):
 
     def __init__(self) -> None:
         super().__init__()
-        self._drawn: tuple[object, ...] = ()
         self.tooltip = "The job: its parts, steps a minute, the time that is left; each arm; its newest lines."
 
     def compose(self) -> ComposeResult:
         yield ProgressBars()
-        yield Static("", classes="arms", markup=False)
-        yield Static("", classes="newest", markup=False)
+        yield Line(classes="arms")
+        yield Line(classes="newest")
 
     def on_mount(self) -> None:
         """Draw a job that is already running."""
@@ -190,17 +186,12 @@ class JobPanel(Vertical):
             f"{name} {activity_words(arm)}" for name, arm in record.arms.items() if arm.activity != "unknown"
         )
         most = 1 if height < _TALL else 3 if height < _HUGE else 5
-        told = (row for row in reversed(record.log) if row.level != "debug")
-        drawn = (arms, *islice(told, most))
-        if drawn == self._drawn:
-            return
-        self._drawn = drawn
-        line = self.query_one(".arms", Static)
+        line = self.query_one(".arms", Line)
         line.display = bool(arms)
-        line.update(arms)
-        newest = [row for row in reversed(drawn) if isinstance(row, LogRow)]
+        line.say(arms)
+        newest = [*islice((row for row in reversed(record.log) if row.level != "debug"), most)][::-1]
         lines = [Content.styled(f"{row.at:%H:%M:%S} {row.text}", _LEVEL_STYLES.get(row.level, "")) for row in newest]
-        self.query_one(".newest", Static).update(Content("\n").join(lines))
+        self.query_one(".newest", Line).say(Content("\n").join(lines))
 
 
 _STRIP_STYLES: Mapping[Look, str] = {
@@ -217,13 +208,9 @@ class LiveStrip(Vertical):
     out of date.
     """
 
-    def __init__(self) -> None:
-        super().__init__()
-        self._drawn: tuple[Banner | None, tuple[JobPart, ...]] = (None, ())
-
     def compose(self) -> ComposeResult:
-        yield Static("", classes="banner", markup=False)
-        yield Static("", classes="ages", markup=False)
+        yield Line(classes="banner")
+        yield Line(classes="ages")
 
     def look(self) -> None:
         """Query the current state, and draw what has changed."""
@@ -233,13 +220,9 @@ class LiveStrip(Vertical):
     def show(self, live: CellLive | None, unseen: Mapping[str, str]) -> None:
         """Draw the state, and the arms that the run counts as moving, arm -> why."""
         banner, parts = banner_of(live, unseen), () if live is None else tuple(strip_of(live))
-        if (banner, parts) == self._drawn:
-            return
-        if banner != self._drawn[0]:
-            box = self.query_one(".banner", Static)
-            box.set_classes("banner" if banner is None else f"banner shown{' alarm' if banner.alarm else ''}")
-            box.update("" if banner is None else "\n".join([banner.words, *banner.causes[:2]]))
-        ages = self.query_one(".ages", Static)
-        ages.set_class(bool(parts), "shown")
-        ages.update(Content("   ").join(Content.styled(part.text, _STRIP_STYLES[part.look]) for part in parts))
-        self._drawn = (banner, parts)
+        self.query_one(".banner", Line).say(
+            "" if banner is None else "\n".join([banner.words, *banner.causes[:2]]),
+            "banner" if banner is None else f"banner shown{' alarm' if banner.alarm else ''}",
+        )
+        ages = Content("   ").join(Content.styled(part.text, _STRIP_STYLES[part.look]) for part in parts)
+        self.query_one(".ages", Line).say(ages, "ages shown" if parts else "ages")

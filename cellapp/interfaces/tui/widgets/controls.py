@@ -28,6 +28,23 @@ from textual.widgets import Checkbox, Input, Static
 from cellapp.interfaces.tui.host import Host
 
 
+class Line(Static):
+    """A text that is drawn only when it changes: what is drawn takes the time in which keys wait."""
+
+    def __init__(self, *, id: str | None = None, classes: str | None = None) -> None:
+        super().__init__("", id=id, classes=classes, markup=False)
+        self._said: tuple[object, ...] = ("", None, None)
+
+    def say(self, text: str | Content, classes: str | None = None) -> None:
+        """Show a text, with these classes if they are given."""
+        said = (str(text), text.spans if isinstance(text, Content) else None, classes)
+        if said != self._said:
+            self.update(text)
+            if classes is not None:
+                self.set_classes(classes)
+            self._said = said
+
+
 class StopButton(Static):
     """Button that brakes all arms when pressed with the mouse; the keys Escape and Ctrl-C do the same.
 

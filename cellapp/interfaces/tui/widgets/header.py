@@ -8,15 +8,13 @@ from collections.abc import Mapping
 from rich.cells import cell_len
 from textual.app import ComposeResult
 from textual.containers import Horizontal
-from textual.content import Content
 from textual.message import Message
-from textual.widgets import Static
 
 from cellapp.ground.progress import eta_words
 from cellapp.interfaces.tui.job_record import JobRecord
 from cellapp.interfaces.tui.run_state import SIGNS, Mark, RunState
 from cellapp.interfaces.tui.screens import SCREENS
-from cellapp.interfaces.tui.widgets.controls import StopButton
+from cellapp.interfaces.tui.widgets.controls import Line, StopButton
 from cellapp.interfaces.tui.widgets.progress_bars import present_part
 from cellapp.interfaces.tui.workspace import Step
 
@@ -31,14 +29,10 @@ _BADGES: Mapping[str, str] = {
 class DayHeader(Horizontal):
     """Badge, profile, run, job, STOP."""
 
-    def __init__(self) -> None:
-        super().__init__()
-        self._drawn: tuple[object, ...] = ()
-
     def compose(self) -> ComposeResult:
-        yield Static("", classes="badge", markup=False)  # unknown yet whose arms they are
-        yield Static("", classes="where", markup=False)
-        yield Static("", classes="job", markup=False)
+        yield Line(classes="badge")  # unknown yet whose arms they are
+        yield Line(classes="where")
+        yield Line(classes="job")
         yield StopButton()
 
     def show(self, state: RunState, kind: str, record: JobRecord) -> None:
@@ -46,20 +40,13 @@ class DayHeader(Horizontal):
         job = state.job
         watched = job is not None and job.watched
         words = job_words(record)
-        drawn = (kind, watched, state.where, words, record.state)
-        if drawn == self._drawn:
-            return
-        badge = self.query_one(".badge", Static)
-        badge.update(f" WATCHED ·{_BADGES[kind]}" if watched else _BADGES[kind])
-        badge.set_classes(f"badge {kind}")
-        self.query_one(".where", Static).update(state.where)
-        line = self.query_one(".job", Static)
-        line.update(words)
+        self.query_one(".badge", Line).say(f" WATCHED ·{_BADGES[kind]}" if watched else _BADGES[kind], f"badge {kind}")
+        self.query_one(".where", Line).say(state.where)
+        line = self.query_one(".job", Line)
+        line.say(words, f"job {record.state or 'idle'}")
         line.styles.width = cell_len(words) + 2  # set explicitly: its container does not always ask again
-        line.set_classes(f"job {record.state or 'idle'}")
         self.set_class(job is not None, "running")
         self.set_class(kind == "real", "real")
-        self._drawn = drawn
 
 
 class StepLine(Horizontal):
@@ -75,7 +62,7 @@ class StepLine(Horizontal):
             tab.show(marks[tab.step], present=tab.step == present)
 
 
-class StepTab(Static):
+class StepTab(Line):
     """One step; a click shows its screen."""
 
     class Chosen(Message):
@@ -86,20 +73,15 @@ class StepTab(Static):
             self.step = step
 
     def __init__(self, step: Step) -> None:
-        super().__init__("", classes="step", markup=False)
+        super().__init__(classes="step")
         self.step: Step = step
-        self._drawn: tuple[Mark, bool] | None = None
         self._entry = next(entry for entry in SCREENS if entry.step == step)
 
     def show(self, mark: Mark, *, present: bool) -> None:
         """Draw key, title and mark."""
-        drawn = (mark, present)
-        if drawn == self._drawn:
-            return
-        self._drawn = drawn
-        self.update(Content(f"{self._entry.key} {self._entry.title}{SIGNS[mark.kind]}"))
         classes = ["step", mark.kind.replace(" ", "-"), *(["next"] if mark.is_next else [])]
-        self.set_classes(" ".join([*classes, *(["present"] if present else [])]))
+        text = f"{self._entry.key} {self._entry.title}{SIGNS[mark.kind]}"
+        self.say(text, " ".join([*classes, *(["present"] if present else [])]))
         self.tooltip = f"{self._entry.title}: {self._entry.purpose}; {mark.words}. Key {self._entry.key}."
 
     def on_click(self) -> None:

@@ -237,7 +237,7 @@ def test_one_cause_is_one_unknown(cycles, joints, beside, named):
     assert said.sentence.startswith("something moves joint 1 and looks like transmission error")
 
 
-# -- Laws that may be off: their free parts, further joints, other effects beside them, and wobbles that are none ------
+# -- Laws that may be off: their discrepancy terms, further joints, other effects beside them, and wobbles that are non
 
 
 N = 220

@@ -95,7 +95,7 @@ def test_an_effect_of_the_smallest_detectable_size_is_detected_about_every_other
 # -- Free parts of laws where the readings hardly exceed the parameters ------------------------------------------------
 
 
-def test_laws_that_take_all_that_the_readings_hold_have_no_free_part():
+def test_laws_that_take_all_that_the_readings_hold_have_no_discrepancy_term():
     data, _ = readings_with(lambda q: 2e-4 * np.sin(q + 1.0), np.zeros_like, 20)
     terms = []
     for slug in ("joint_compliance", "backlash", "encoder_eccentricity"):
@@ -119,7 +119,7 @@ def test_a_candidate_whose_fit_does_not_converge_is_dropped_and_named_and_is_no_
     assert found.not_fitted[0] == f"{EFFECTS['encoder_eccentricity'].title} added"
 
 
-# -- A name is accepted at even odds at least; rivals that nothing distinguishes from it count with it -----------------
+# -- A name is accepted at even odds at least; alternatives that nothing distinguishes from it count with it ----------
 
 
 TWIN = Path(__file__).parents[4] / "profiles" / "twin.yaml"
@@ -134,7 +134,7 @@ def searched(
 ) -> SearchResult:
     """The outcome for an arm with backlash, where the probabilities of effects are those stated, else 1.
 
-    ``limited`` are those once rivals score less than the name.
+    ``limited`` are those once alternatives score less than the name.
     """
     profile = load_profile(TWIN)
     few = profile.discovery.model_copy(update={"null_simulations": 60, "false_alarm": 0.02})
@@ -161,19 +161,19 @@ def test_an_improbable_name_is_dropped_and_not_found_again(monkeypatch: pytest.M
     assert found.dropped[-1] == "backlash"
 
 
-def test_rivals_in_one_answer_set_count_together(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_confounded_names_count_together(monkeypatch: pytest.MonkeyPatch) -> None:
     other = RunnerUp(effect="friction_windup", statistic=50.0, distinguishable=False)
     monkeypatch.setattr(stepwise, "review", lambda *args: replace(review(*args), alternatives=(other,)))
     found = searched(monkeypatch, {"backlash": 0.4, "friction_windup": 0.3})
     assert [term.slug for term in found.fit.terms] == ["backlash"]
     found = searched(monkeypatch, {"backlash": 0.2, "friction_windup": 0.2})
-    assert found.improbable == {"backlash": 0.4}, "of the whole answer set"
+    assert found.improbable == {"backlash": 0.4}, "of all confounded names"
     found = searched(monkeypatch, {"backlash": 0.3, "friction_windup": 0.6})
     assert [term.slug for term in found.fit.terms] == ["backlash"], "no search without it ends as well"
     assert found.improbable == {}
 
 
-def test_a_rival_in_whose_place_the_search_ends_worse_scores_less_than_the_name(
+def test_an_alternative_in_whose_place_the_search_ends_worse_scores_less_than_the_name(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def led(*args: Any) -> Review:
@@ -185,13 +185,13 @@ def test_a_rival_in_whose_place_the_search_ends_worse_scores_less_than_the_name(
     (found,) = searched(monkeypatch, {"backlash": 0.3, "friction_windup": 0.6}).reviews
     assert found.alternative_scores["friction_windup"] < found.score
     alone = searched(monkeypatch, {"backlash": 0.3, "friction_windup": 0.6}, {"backlash": 0.1, "friction_windup": 0.2})
-    assert alone.improbable == {"backlash": pytest.approx(0.3)}, "its answer set was probable by that rival only"
+    assert alone.improbable == {"backlash": pytest.approx(0.3)}, "its set was probable by that alternative only"
 
 
-def test_a_name_gives_way_to_a_more_probable_rival_that_explains_as_much(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_name_gives_way_to_a_more_probable_alternative_that_explains_as_much(monkeypatch: pytest.MonkeyPatch) -> None:
     other = RunnerUp(effect="friction_windup", statistic=50.0, distinguishable=False)
     monkeypatch.setattr(stepwise, "review", lambda *args: replace(review(*args), alternatives=(other,)))
     monkeypatch.setattr(stepwise, "criterion", lambda fit: 0.0)  # of every model
     found = searched(monkeypatch, {"backlash": 0.3, "friction_windup": 0.6})
     assert "backlash" not in {term.slug for term in found.fit.terms}
-    assert found.improbable == {"backlash": pytest.approx(0.9)}, "of the whole answer set"
+    assert found.improbable == {"backlash": pytest.approx(0.9)}, "of all confounded names"

@@ -11,11 +11,12 @@ import pytest
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.parameters import candidate_columns
+from cellapp.estimation.calibration.quantities import measured_quantities
 from cellapp.estimation.monitoring.belief import CheckBelief, SequentialState, arm_belief, watching
 from cellapp.estimation.monitoring.causes import Design
 from cellapp.estimation.monitoring.linear import StopRows
 from cellapp.estimation.monitoring.sequential import NOTHING_YET, choose_stops, design_of, judged
-from cellapp.estimation.prior.belief import Measured, Prior, posterior
+from cellapp.estimation.prior.belief import Prior, posterior
 from cellapp.estimation.readings import Readings
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.chain import Geometry
@@ -94,7 +95,7 @@ def cell_of(arms: dict[str, Geometry], seed: int, readings: int = 150) -> Simula
         if nominal.probe is not None:
             true[name] = replace(true[name], probe=nominal.probe + rng.normal(0.0, 3e-3, 3))
         its = readings_of(true[name], candidates[name], rng)
-        measured = Measured.of(its, MeasurementConditions(approach=its.approach))
+        measured = measured_quantities(its, MeasurementConditions(approach=its.approach))
         columns = candidate_columns(nominal)
         model = watching(model_of(nominal, nominal), measured)
         count = len(columns) + sum(len(term.names) for term in model.effects)

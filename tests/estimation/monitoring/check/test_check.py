@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.stats import binom, chi2, kstest
 
+from cellapp.estimation.calibration.quantities import measured_quantities
 from cellapp.estimation.monitoring.belief import CheckBelief, arm_belief, check_belief
 from cellapp.estimation.monitoring.causes import Design, MinPValueTest, after, log_valid
 from cellapp.estimation.monitoring.linear import Moments, StopRows, directions_of, stop_rows
 from cellapp.estimation.monitoring.records import CheckResult
 from cellapp.estimation.monitoring.sequential import SequentialTest
-from cellapp.estimation.prior.belief import Measured, Prior, posterior
+from cellapp.estimation.prior.belief import Prior, posterior
 from cellapp.estimation.readings import Readings, joined
 from cellapp.ground.errors import InputError, NotConverged
 from cellapp.ground.profile import Profile
@@ -33,6 +35,7 @@ from tests.estimation.monitoring.check.conftest import (
 from tests.twin import small_twin
 
 PLANNED = 16
+SLOWLY = partial(pytest.param, marks=pytest.mark.slow)
 
 
 def checked(cell: SimulatedCell, changed: dict[str, Geometry] | None = None) -> tuple[CheckResult, SequentialTest]:
@@ -46,7 +49,7 @@ def checked(cell: SimulatedCell, changed: dict[str, Geometry] | None = None) -> 
     return test.conclusion(), test
 
 
-@pytest.mark.parametrize("cell", ["pair", "single", "seven"])
+@pytest.mark.parametrize("cell", ["pair", SLOWLY("single"), "seven"])
 def test_unchanged_cell_is_valid_before_the_last_stop(cell: str, request: pytest.FixtureRequest) -> None:
     found, test = checked(request.getfixturevalue(cell))
     assert found.verdict == "valid"
@@ -63,7 +66,11 @@ def test_unchanged_cell_is_valid_before_the_last_stop(cell: str, request: pytest
 
 @pytest.mark.parametrize(
     ("word", "change", "what"),
-    [("a2", 5e-5, "length a of link 2"), ("theta2", -5e-5, "zero of joint 2"), ("a3", -1e-4, "length a of link 3")],
+    [
+        ("a2", 5e-5, "length a of link 2"),
+        ("theta2", -5e-5, "zero of joint 2"),
+        SLOWLY("a3", -1e-4, "length a of link 3"),
+    ],
 )
 def test_changed_parameter_is_named_with_its_size(pair: SimulatedCell, word: str, change: float, what: str) -> None:
     place = parameter_names(6).index(word)
@@ -80,7 +87,7 @@ def test_changed_parameter_is_named_with_its_size(pair: SimulatedCell, word: str
     assert found.arms["right"].left_mm < 0.02
 
 
-@pytest.mark.parametrize(("word", "joint"), [("theta5", 5), ("theta6", 6)])
+@pytest.mark.parametrize(("word", "joint"), [SLOWLY("theta5", 5), ("theta6", 6)])
 def test_orientation_names_a_joint_whose_axis_passes_near_the_probe(
     probed: SimulatedCell, word: str, joint: int
 ) -> None:
@@ -97,7 +104,7 @@ def test_orientation_names_a_joint_whose_axis_passes_near_the_probe(
     assert f"zero of joint {joint}" in shown
 
 
-@pytest.mark.parametrize("size", [1e-4, 0.03], ids=["small", "large"])
+@pytest.mark.parametrize("size", [1e-4, SLOWLY(0.03)], ids=["small", "large"])
 def test_moved_tracker_is_solved_for(pair: SimulatedCell, size: float) -> None:
     shift, rotation = [size, -2 * size, size], [0.5 * size, size, -size]
     changed = {name: moved_base(true, shift, rotation) for name, true in pair.true.items()}
@@ -109,7 +116,7 @@ def test_moved_tracker_is_solved_for(pair: SimulatedCell, size: float) -> None:
     assert np.linalg.norm(apply(np.array(found.T_new_old), points) - true, axis=1).max() < 6e-5
 
 
-@pytest.mark.parametrize("size", [2e-4, 0.02], ids=["small", "large"])
+@pytest.mark.parametrize("size", [SLOWLY(2e-4), 0.02], ids=["small", "large"])
 def test_moved_base_is_solved_for(pair: SimulatedCell, size: float) -> None:
     changed = moved_base(pair.true["right"], [size, size, -size], [size, -size, size])
     found, _ = checked(pair, {"right": changed})
@@ -241,7 +248,7 @@ def posterior_of(pair: SimulatedCell, readings: Readings, conditions: Measuremen
     arm = pair.belief.arms["left"]
     bare = replace(arm.model, effects=())
     prior = Prior(arm.columns, bare.nominal, np.zeros(len(arm.columns)), 1e6 * np.eye(len(arm.columns)))
-    measured = Measured.of(readings, conditions)
+    measured = measured_quantities(readings, conditions)
     return CheckBelief({"left": arm_belief(posterior(bare, measured, prior), measured)})
 
 
@@ -306,7 +313,7 @@ def test_drift_of_the_day_hides_as_large_a_motion_of_the_base(pair: SimulatedCel
     )
     drifting = replace(arm.model, effects=(term,))
     readings = replace(its, p_M=its.p_M + drifting.predict(its.q, conditions=conditions) - arm.model.predict(its.q))
-    measured = Measured.of(readings, conditions)
+    measured = measured_quantities(readings, conditions)
     count = len(arm.columns) + 3
     prior = Prior(arm.columns, arm.model.nominal, np.zeros(count), np.diag(np.r_[np.full(count - 3, 1e6), 0, 0, 0]))
     belief = arm_belief(posterior(drifting, measured, prior), measured)
