@@ -141,7 +141,7 @@ def test_a_run_contains_nothing_of_its_truth(all_kinds: Path) -> None:
             assert run.read_plan() == {}
 
 
-def test_the_truth_names_kinds_and_arms_in_a_drawn_order(all_kinds: Path) -> None:
+def test_the_truth_names_kinds_and_arms_in_a_random_order(all_kinds: Path) -> None:
     trials = open_truth(all_kinds).trials
     kinds = [trial.kind for trial in trials]
     assert Counter(kinds) == {"one": 6, "none": 2, "outside": 1, "pair": 1}

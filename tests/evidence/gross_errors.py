@@ -19,7 +19,7 @@ from cellapp.estimation.calibration.quantities import position_errors
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile
 from cellapp.robot.model import ArmModel
-from tests.evidence.shared.cells import TWIN, drawn_cell, measured_plan
+from tests.evidence.shared.cells import TWIN, measured_plan, sampled_cell
 from tests.evidence.shared.series import load_entrant
 from tests.evidence.skeleton import Evidence, Limit, Table
 
@@ -72,7 +72,7 @@ def arms(seed: int, *, train: bool = False) -> Iterator[Arm]:
         entrant = load_entrant(name)
         order = np.random.default_rng([seed, 0x6055]).permutation(len(entrant.readings))[:_ROWS]
         yield Arm(name, entrant.profile, entrant.arm, with_splits(entrant.readings.take(order), train=train))
-    profile = drawn_cell(load_profile(TWIN), seed)
+    profile = sampled_cell(load_profile(TWIN), seed)
     for name, readings in simulated(profile, seed).items():
         yield Arm(f"twin {name}", profile, name, with_splits(readings, train=train))
 

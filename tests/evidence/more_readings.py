@@ -22,7 +22,7 @@ from cellapp.estimation.discovery.discover import discover_arm
 from cellapp.estimation.readings import Readings
 from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
-from tests.evidence.shared.cells import TWIN, bare_stops, drawn_cell, measured_by
+from tests.evidence.shared.cells import TWIN, bare_stops, measured_by, sampled_cell
 from tests.evidence.shared.series import load_entrant, sample_rows
 from tests.evidence.skeleton import Evidence, Limit, Table
 
@@ -80,7 +80,7 @@ def _of_series(case: dict[str, Any]) -> tuple[Profile, str, Readings]:
 
 
 def _simulated(case: dict[str, Any]) -> tuple[Profile, str, Readings]:
-    profile = drawn_cell(load_profile(TWIN), case["seed"])
+    profile = sampled_cell(load_profile(TWIN), case["seed"])
     generator, count = np.random.default_rng([case["seed"], case["n"]]), case["n"] + _HELD_OUT_OF_TWIN
     plan = {
         arm: generator.uniform(q.min(axis=0), q.max(axis=0), (count, q.shape[1]))

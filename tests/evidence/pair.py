@@ -17,7 +17,7 @@ from cellapp.estimation.calibration.calibrate import calibrate_readings
 from cellapp.estimation.calibration.quantities import conditions_of_arms
 from cellapp.estimation.discovery.discover import discover_cell
 from cellapp.robot.kinematics.transforms import rotation_vectors, rotations_of
-from tests.evidence.shared.cells import TWIN, drawn_cell, measured_plan
+from tests.evidence.shared.cells import TWIN, measured_plan, sampled_cell
 from tests.evidence.skeleton import Evidence, Limit, Share, Table
 
 TITLE = "Two arms with probes"
@@ -31,7 +31,7 @@ def cases(asked: argparse.Namespace) -> dict[str, dict[str, Any]]:
 
 def one(case: dict[str, Any]) -> dict[str, Any]:
     """Learn one cell; compare the computed with the measured pose of the right flange seen from the left one."""
-    profile = drawn_cell(load_profile(TWIN.with_name("twin-6d.yaml")), seed := case["seed"])
+    profile = sampled_cell(load_profile(TWIN.with_name("twin-6d.yaml")), seed := case["seed"])
     profile = profile.model_copy(update={"network": profile.network.model_copy(update={"kind": "none"})})
     readings = measured_plan(profile, plan_stops(profile), seed)
     models = discover_cell(profile, calibrate_readings(profile, readings).model, readings).model.arms

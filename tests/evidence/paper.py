@@ -17,7 +17,7 @@ from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Pose, Profile
 from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.kinematics.transforms import Array, apply, register
-from tests.evidence.shared.cells import drawn_cell, measured_plan
+from tests.evidence.shared.cells import measured_plan, sampled_cell
 from tests.evidence.skeleton import ROOT, Evidence, Limit, Table
 
 TITLE = "The paper's comparison"
@@ -46,7 +46,7 @@ def cases(asked: argparse.Namespace) -> dict[str, dict[str, Any]]:
 def one(case: dict[str, Any]) -> dict[str, Any]:
     """Run the comparison for one seed."""
     seed = case["seed"]
-    profile = drawn_cell(load_profile(PROFILE), seed)
+    profile = sampled_cell(load_profile(PROFILE), seed)
     plan = plan_stops(profile)
     calibration = calibrate_readings(profile, measured_plan(profile, plan, seed))
     assert calibration.pair is not None, calibration.notes

@@ -44,7 +44,7 @@ from cellapp.robot.model import ArmModel, CellModel
 from cellapp.robot.model.nominal import pose_matrix
 from drivers.plant import Plant
 from tests.evidence.shared.cells import TWIN
-from tests.evidence.shared.target_draws import sample_hidden, sample_pairs, sample_targets
+from tests.evidence.shared.target_samples import sample_hidden, sample_pairs, sample_targets
 from tests.evidence.skeleton import Evidence, Limit, Table
 from tests.verbs import Opened, collect_by, locate_run, opened_by
 

@@ -381,10 +381,10 @@ class DesignJudge:
         p = self.random.shape[2]
         found = {size: list[Errors]() for size in sizes}
         total = {size: np.zeros((p, p)) for size in sizes}
-        for draw in range(_SAMPLES):
+        for sample in range(_SAMPLES):
             order = self.rng.permutation(len(self.random))
             information, before = np.zeros((p, p)), 0
-            for size in sorted(size for size in sizes if not draw or size * (draw + 1) <= len(order)):
+            for size in sorted(size for size in sizes if not sample or size * (sample + 1) <= len(order)):
                 information = information + information_of(self.random[order[before:size]])
                 before = size
                 found[size].append(self.errors(information))

@@ -49,12 +49,12 @@ def noise_floor_words(arm: ArmDiscoveryResult) -> str:
 
 
 def discovery_tables(result: DiscoverResult) -> list[Table]:
-    """Show each arm's held-out error after each step, its accepted effects, and their sizes."""
+    """Show each arm's accepted effects, its held-out error after each step, and sizes of effects."""
     return with_rows(
         *(
             table
             for name, arm in result.arms.items()
-            for table in (numbered_steps_table(name, arm), short_accepted_table(name, arm), *size_tables(name, arm))
+            for table in (short_accepted_table(name, arm), numbered_steps_table(name, arm), *size_tables(name, arm))
         )
     )
 

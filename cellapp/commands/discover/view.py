@@ -90,10 +90,10 @@ def discovery_section(
 
 
 def arm_section(key: str, name: str, arm: ArmDiscoveryResult, certainty: Sequence[Chart] = ()) -> Section:
-    """Show one arm: verdict, steps, accepted effects with pictures, undetectable effects, and the remainder."""
+    """Show one arm: verdict, accepted effects, steps, pictures, undetectable effects, and the remainder."""
     found = with_rows(
-        numbered_steps_table(name, arm),
         short_accepted_table(name, arm),
+        numbered_steps_table(name, arm),
         *size_tables(name, arm),
         cycle_table(name, arm),
     )

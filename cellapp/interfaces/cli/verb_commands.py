@@ -35,8 +35,10 @@ if TYPE_CHECKING:
 
 _LOOK_S = 0.1
 """Interval at which a waiting question checks whether the job must end."""
-_OF_RUN = ("calibration", "discovery", "verification")
-_SHOWN = {"run": _OF_RUN, "report": _OF_RUN, "plan": ("plan",)}
+_SHOWN: Mapping[str, tuple[str, ...]] = {
+    **dict.fromkeys(("run", "report"), ("calibration", "discovery", "verification")),
+    "plan": ("plan",),
+}
 """Verb -> the parts of a run that ``show`` shows of it, beside those that it stores."""
 
 

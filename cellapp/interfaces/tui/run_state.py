@@ -68,9 +68,8 @@ def _next_words(workspace: Workspace, waits: str) -> str:
         return f"Next ({key}): plan a run{last}"
     if not words:
         return f"Next: nothing is left to do in this run; {SHOWN['runs']} lists all"
-    if words.startswith("cellapp "):
-        verb, command = workspace.overview.next_verb, words.replace("'", "")  # a folder may be quoted
-        words = f"{verb}, '{command}'" if verb else f"'{command}'"
+    if words.startswith("cellapp "):  # its folder may be quoted
+        words = ", ".join(filter(None, [workspace.overview.next_verb, "'" + words.replace("'", "") + "'"]))
     return f"Next ({key}): {with_keys(words)}"
 
 

@@ -80,7 +80,7 @@ def test_a_stop_stays_in_its_split(run: RunFile) -> None:
     assert run.readings("right").split is None, "its splits are not drawn yet"
 
 
-def test_what_stops_to_come_are_for_is_said_when_splits_are_drawn(tmp_path: Path) -> None:
+def test_what_stops_to_come_are_for_is_said_when_splits_are_chosen(tmp_path: Path) -> None:
     with planned_run(tmp_path / "early", 22) as run:
         for stop in range(20):
             add_stop(run, stop)

@@ -54,7 +54,7 @@ def test_a_verdict_is_about_the_true_position() -> None:
     ]
 
 
-def test_stated_distances_hold_for_errors_drawn_from_the_model(arm: ArmModel) -> None:
+def test_stated_distances_hold_for_errors_sampled_from_the_model(arm: ArmModel) -> None:
     q = configurations(40)
     assert arm.posterior is not None
     known = predictions(arm, q, NOTHING, [None] * 40, HOME, ConditionRanges())

@@ -29,7 +29,7 @@ from tests.evidence.gross_errors import disturbed
 from tests.evidence.shared.series import Entrant, load_entrant
 
 
-def test_another_seed_gives_another_draw():
+def test_another_seed_gives_another_split():
     assert sample_splits(np.arange(400), 100, 200, 100, 0)[0] != sample_splits(np.arange(400), 100, 200, 100, 1)[0]
 
 

@@ -98,7 +98,7 @@ def campaign_profile(profile: Profile, stops: int) -> Profile:
     return own.model_copy(update={"plan": plan, "sensors": sensors})
 
 
-def drawn_collection(rng: np.random.Generator) -> Collection:
+def sampled_collection(rng: np.random.Generator) -> Collection:
     """Return how a campaign collects: references, limits, what may be waited for."""
     return Collection(
         reference=Reference(every=int(rng.choice([0, 0, 25, 60])), drift=200e-6),
@@ -187,7 +187,7 @@ def _memory() -> str | None:
 def _run(bench: Bench, seed: int, folder: Path) -> tuple[Campaign, dict[str, ArmEstimate]]:
     rng = np.random.default_rng([seed, 0])
     stops, arms = bench.profile.plan.stops, tuple(bench.profile.arms)
-    profile = bench.profile.model_copy(update={"collection": drawn_collection(rng)})
+    profile = bench.profile.model_copy(update={"collection": sampled_collection(rng)})
     faults: tuple[Fault, ...] = ()
     if bench.undisturbed is not None:
         faults = sample_faults(rng, arms, stops, max(1, int(rng.poisson(stops / STOPS_TO_A_FAULT))))

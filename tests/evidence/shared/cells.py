@@ -28,7 +28,7 @@ _STIFFNESS, _PLAY, _CURVE = (6e4, 3e4), 1e-4, 1e-4
 [rad]; sizes as in catalogues of strain-wave gears and in measured arms of this class."""
 
 
-def drawn_cell(profile: Profile, seed: int, *, mix: bool = False) -> Profile:
+def sampled_cell(profile: Profile, seed: int, *, mix: bool = False) -> Profile:
     """Return the profile of a simulated cell; ``seed`` draws its true geometry, plan and splits.
 
     ``mix`` adds hidden effects of the arms themselves, with curves drawn by ``seed``.

@@ -43,7 +43,7 @@ class Entrant:
 
 
 @dataclass(frozen=True, eq=False)
-class DrawnRows:
+class SampledRows:
     """Rows to learn from, and the held-out rows by group (all, others, published); the first group is all of them."""
 
     learned: NDArray[np.intp]
@@ -70,7 +70,7 @@ def load_entrant(name: str) -> Entrant:
     return Entrant(name, profile, arm, rows)
 
 
-def sample_rows(entrant: Entrant, rows: Rows, seed: int) -> DrawnRows:
+def sample_rows(entrant: Entrant, rows: Rows, seed: int) -> SampledRows:
     """Draw the rows to learn from; all others are held out, including those that the authors held out.
 
     Draws of one seed are nested: more rows include the fewer. Raises ``InputError`` if the series has too few rows.
@@ -85,4 +85,4 @@ def sample_rows(entrant: Entrant, rows: Rows, seed: int) -> DrawnRows:
     groups = {"all": np.concatenate([others, published])}
     if len(published):
         groups = {**groups, "others": others, "published": published} if len(others) else {"published": published}
-    return DrawnRows(np.sort(order[:count]), groups)
+    return SampledRows(np.sort(order[:count]), groups)

@@ -78,7 +78,7 @@ def bridge_trial(
     if measurements < every or every < 1:
         raise InputError("trials bridge: there must be at least one group of measurements, of at least one each")
     nests = _nests(profile)
-    fault_at = _drawn_faults(measurements, every, seed, ALL_FAULTS if serial is None else FAULTS)
+    fault_at = _sampled_faults(measurements, every, seed, ALL_FAULTS if serial is None else FAULTS)
     with ExitStack() as stack:
         emulator = stack.enter_context(
             TrackerBridgeEmulator(
@@ -139,7 +139,7 @@ class _Log:
         )
 
 
-def _drawn_faults(measurements: int, every: int, seed: int, faults: Sequence[str]) -> dict[int, str]:
+def _sampled_faults(measurements: int, every: int, seed: int, faults: Sequence[str]) -> dict[int, str]:
     """One fault in each group of ``every`` measurements: number of the measurement -> fault, each about equally often.
 
     Over a serial cable there is no second client, so ``faults`` lacks that one.

@@ -24,7 +24,7 @@ from cellapp.ground.profile import Profile
 from cellapp.ground.progress import UNATTENDED, JobToken
 from cellapp.ground.results import Record, Result
 from tests.evidence.wire.storm_cell import emulated_cell, undisturbed_profile, wire_profile
-from tests.evidence.wire.storm_faults import KILL, drawn_events
+from tests.evidence.wire.storm_faults import KILL, sampled_events
 from tests.evidence.wire.storm_operator import Operator, StormLog, stored
 
 PACE = 50.0
@@ -116,7 +116,7 @@ def storm_trial(
         raise InputError("storm: at least 2 stops are needed")
     profile = wire_profile(profile, stops)
     random = np.random.default_rng(seed)
-    events = drawn_events(stops, faults, kills, tuple(profile.arms), random)
+    events = sampled_events(stops, faults, kills, tuple(profile.arms), random)
     with _folder(keep) as parent:
         folder = parent / "run"
         with new_planned_run(profile, folder, job) as run:

@@ -153,7 +153,7 @@ class Event:
     at_start: bool
 
 
-def drawn_events(
+def sampled_events(
     stops: int, faults: int, kills: int, arms: tuple[str, ...], random: np.random.Generator
 ) -> list[Event]:
     """Draw the events of a run of ``stops`` stops in the order in which they are due, all kinds about equally often."""
