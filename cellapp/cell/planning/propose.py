@@ -36,7 +36,7 @@ from cellapp.estimation.calibration.quantities import ArmReadings
 from cellapp.estimation.design.information import HOPELESS, SequentialDesign, TwoModels, joint_gains
 from cellapp.estimation.discovery.arm_data import UNKNOWN, ArmData
 from cellapp.estimation.discovery.outcome import ArmFound
-from cellapp.estimation.discovery.records import Unnamed
+from cellapp.estimation.discovery.records import Discrimination, ProposalQuestion, Unnamed
 from cellapp.estimation.readings import Readings
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
@@ -418,52 +418,30 @@ _WORTH_A_LOAD = 1.5
 """Factor by which another payload must raise the discrimination to be suggested."""
 
 
-@dataclass(frozen=True)
-class PredictedDiscrimination:
-    """Non-centrality lambda of one hypothesis: now, with the proposed stops, with the same number of random ones.
-
-    ``against`` is empty where the question is whether the effect can be seen at all.
-    """
-
-    arm: str
-    effect: str
-    against: str
-    needed: float
-    now: float
-    proposed: float
-    random: float
-
-    @property
-    def gain_over_random(self) -> float:
-        """Ratio of the discrimination with the proposed stops to that with random ones."""
-        return self.proposed / max(self.random, 1e-12)
-
-
 def predict_arm(
     arm: ArmCandidates,
     poses: CandidatePoses,
     pose: NDArray[np.intp],
     approach: NDArray[np.intp],
     rng: np.random.Generator,
-) -> tuple[list[PredictedDiscrimination], list[str]]:
-    """Predict the hypotheses of one arm with the chosen candidates; return also advice to change its payload."""
+) -> tuple[list[ProposalQuestion], list[str]]:
+    """Predict what the chosen candidates decide of an arm's hypotheses; return also advice to change its payload."""
     chosen = pose * len(arm.approaches) + approach
     samples = [rng.integers(0, len(poses) * len(arm.approaches), len(chosen)) for _ in range(_RANDOM_DESIGNS)]
     nothing = np.array([], dtype=np.intp)
-    predictions, advice = [], []
+    questions, advice = [], []
     for one, comparison in arm.comparisons:
-        prediction = PredictedDiscrimination(
-            arm=arm.name,
+        proposed, random = _least(comparison, chosen), float(np.mean([_least(comparison, each) for each in samples]))
+        question = ProposalQuestion(
             effect=one.effect,
-            against=one.against,
+            against=one.against or None,
             needed=one.needed,
-            now=_least(comparison, nothing),
-            proposed=_least(comparison, chosen),
-            random=float(np.mean([_least(comparison, sample) for sample in samples])),
+            discrimination=Discrimination(now=_least(comparison, nothing), proposed=proposed, random=random),
+            gain_over_random=proposed / max(random, 1e-12),
         )
-        predictions.append(prediction)
-        advice += _load_advice(arm, one, poses, pose, approach, prediction)
-    return predictions, advice
+        questions.append(question)
+        advice += _load_advice(arm, one, poses, pose, approach, proposed)
+    return questions, advice
 
 
 def _least(comparison: Sequence[TwoModels], chosen: NDArray[np.intp]) -> float:
@@ -477,12 +455,12 @@ def _load_advice(
     poses: CandidatePoses,
     pose: NDArray[np.intp],
     approach: NDArray[np.intp],
-    prediction: PredictedDiscrimination,
+    proposed: float,
 ) -> list[str]:
     """Advise another payload at every second stop, if the stops do not decide and the run had one payload."""
     conditions = arm.run.conditions
     depends = any(InputVariable.PAYLOAD in EFFECTS[slug].variables for slug in hypothesis.effects)
-    decided = bool(hypothesis.against) and prediction.proposed >= prediction.needed
+    decided = bool(hypothesis.against) and proposed >= hypothesis.needed
     if not depends or decided or varies(conditions.payload_kg):
         return []
     bodies = hypothesis.data.model.bodies
@@ -494,13 +472,13 @@ def _load_advice(
     q, expected = arm.run.candidates(poses, arm.approaches, pose, approach, load_kg)
     design = CandidateDesign.of(hypothesis.data, hypothesis.fit, q, expected)
     loaded = _least(hypothesis.discriminations(design), np.arange(len(pose)))
-    if loaded < _WORTH_A_LOAD * prediction.proposed:
+    if loaded < _WORTH_A_LOAD * proposed:
         return []
     titles = " and ".join(EFFECTS[slug].title for slug in hypothesis.effects)
     aim = f"distinguish {titles}" if hypothesis.against else f"show {titles}"
     return [
         f"arm {arm.name}: another load would {aim} better: {now_kg + more_kg:g} kg instead of {now_kg:g} kg at every"
-        f" second stop would bring the discrimination to {loaded:.0f} instead of {prediction.proposed:.0f}; a person"
+        f" second stop would bring the discrimination to {loaded:.0f} instead of {proposed:.0f}; a person"
         " must attach it, if the arm may carry it, and enter it in the controller"
     ]
 
@@ -519,12 +497,13 @@ class Proposal:
     ----------
     stops : PlannedStops
         With straight motions; one at least.
-    predictions : tuple of PredictedDiscrimination
+    questions : mapping
+        Arm -> what the stops decide of it.
     notes, advice : tuple of str
     """
 
     stops: PlannedStops
-    predictions: tuple[PredictedDiscrimination, ...]
+    questions: Mapping[str, tuple[ProposalQuestion, ...]]
     notes: tuple[str, ...]
     advice: tuple[str, ...]
 
@@ -580,7 +559,7 @@ def propose_stops(
         raise InputError("propose: the motion check refused all candidates; reduce plan.clearance, or move the bases")
     if len(chosen) < count:
         notes.append(f"only {len(chosen)} of {counted(count, 'stop')}: the motion check refused the other candidates")
-    predictions: list[PredictedDiscrimination] = []
+    questions: dict[str, tuple[ProposalQuestion, ...]] = {}
     advice = [words for name in model.arms for words in _unnamed_advice(name, found[name].result.unnamed)]
     taken = {arm.name: np.array([one.poses[k] for one in chosen], dtype=np.intp) for k, arm in enumerate(arms)}
     stops = straight_stops({name: poses.q[name][pose] for name, pose in taken.items()})
@@ -589,14 +568,14 @@ def propose_stops(
         pose = taken[arm.name]
         approach = np.array([one.approaches[number] for one in chosen], dtype=np.intp)
         of_arm, advice_of_arm = predict_arm(arm, poses, pose, approach, rng)
-        predictions += of_arm
+        questions.update({arm.name: tuple(of_arm)} if of_arm else {})
         advice += advice_of_arm
         step = arm.approaches.steps[pose, approach]
         moved = step.any(axis=1)
         stops.approach_from[arm.name][moved] = (stops.q[arm.name] - step)[moved]
         stops.dwell_s[arm.name][:] = arm.approaches.dwells[approach]
     job.tell("propose", count, count, "done")
-    return Proposal(stops, tuple(predictions), tuple(notes), tuple(dict.fromkeys(advice)))
+    return Proposal(stops, questions, tuple(notes), tuple(dict.fromkeys(advice)))
 
 
 # -- Greedy choice of further stops for all arms, among candidates that the safety gate lets them reach ---------------

@@ -388,7 +388,7 @@ def repair_order(
     """
     n, detour_s = now.rows.shape[1], _DETOUR_STEPS * stops.usual_step_s
     order = np.arange(n + 2)  # 0 is the start, n + 1 the end
-    at = [start, *(stops.at(rows) for rows in now.rows.T), end]
+    at: list[Configuration | None] = [start, *(stops.at(rows) for rows in now.rows.T), end]
     free: dict[tuple[int, int], bool] = {}
 
     def refused(orders: Iterable[NDArray[np.intp]]) -> list[list[int]]:

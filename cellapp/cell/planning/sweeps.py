@@ -8,7 +8,7 @@ two moves at the same time, half as fast and without being measured (``PlannedSw
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -257,8 +257,7 @@ def _swing_beside(
     (other,) = (one for one in at if one != name)
     time_s = motion.times(_SEEN_S)
     for _ in range(_SWING_SAMPLES):
-        swing: Sweep | None = _sampled(at[other], at[other], motion.period_s, rng)
-        while swing is not None:
+        for swing in _narrowing(_sampled(at[other], at[other], motion.period_s, rng)):
             in_time = _slow_enough(profile, cell, other, swing, _SWING_SHARE * _FASTEST_M_S).period_s
             if (
                 in_time <= motion.period_s * (1.0 + 1e-9)
@@ -266,7 +265,6 @@ def _swing_beside(
                 and not refuse_sweep(cell, {name: motion, other: swing}, at)
             ):
                 return Swing.of(other, swing)
-            swing = _narrower(swing)
     return None
 
 
@@ -288,11 +286,9 @@ def _sweep_about(
     told = [float(np.linalg.slogdet(known.information + known.design.told(one))[1]) for one in seen]
     worth = [(its - before) / one.period_s for its, one in zip(told, seen, strict=True)]
     for place in np.argsort(worth)[::-1]:
-        motion: Sweep | None = seen[place]
-        while motion is not None and refuse_sweep(cell, {name: motion}, others):
-            motion = _narrower(motion)
-        if motion is not None:
-            return motion
+        for motion in _narrowing(seen[place]):
+            if not refuse_sweep(cell, {name: motion}, others):
+                return motion
     return None
 
 
@@ -308,22 +304,22 @@ def _sampled(center: Array, towards: Array, period_s: float, rng: np.random.Gene
     return Sweep(center, sine * wanted, cosine, period_s)
 
 
-def _narrower(motion: Sweep) -> Sweep | None:
-    """Scale a motion down by one step; None if next to nothing is left."""
-    smaller = motion.scaled(_NARROWER)
-    reach = np.abs(smaller.at(smaller.times(smaller.period_s / 100.0)) - smaller.center).max()
-    return smaller if reach > _NARROWEST else None
+def _narrowing(motion: Sweep) -> Iterator[Sweep]:
+    """Yield a motion, then scaled down step by step until next to nothing is left."""
+    reach = np.inf
+    while reach > _NARROWEST:
+        yield motion
+        motion = motion.scaled(_NARROWER)
+        reach = np.abs(motion.at(motion.times(motion.period_s / 100.0)) - motion.center).max()
 
 
 def _seen(cell: CellBodies, name: str, motion: Sweep, others: Mapping[str, Array]) -> Sweep | None:
     """Scale a motion down until the tracker sees all of it; None if it does not even at its narrowest."""
-    found: Sweep | None = motion
-    while found is not None:
+    for found in _narrowing(motion):
         time_s = found.times(_SEEN_S)
         beside = {other: np.broadcast_to(q, (len(time_s), len(q))) for other, q in others.items()}
         if visible(cell, name, found.at(time_s), beside).all():
             return found
-        found = _narrower(found)
     return None
 
 

@@ -148,8 +148,8 @@ _PLACES = (8, 4, 12, 2, 14, 6, 10, 1, 15, 3, 13, 5, 11, 7, 9)
 """Sixteenths of a motion at which an arm is checked, the most selective first."""
 _SAMPLES = 40
 """Upper limit of the random configurations sampled for each node."""
-_AT_ONCE = 4000
-"""Number of motions that are checked at once."""
+_AT_ONCE = 1000
+"""Number of configurations whose nearest nodes are found at once."""
 
 
 class ArmRoadmap:
@@ -175,10 +175,10 @@ class ArmRoadmap:
         if self._home is not None:
             reached[clear] = self.clear_ways(np.broadcast_to(self._home, q[clear].shape), q[clear])
         remaining = clear[~reached[clear]]
-        for rows in np.array_split(remaining, 1 + len(remaining) * _NEIGHBOURS // _AT_ONCE) if len(remaining) else ():
-            near = self._nearest(q[rows])
-            free = self.clear_ways(np.repeat(q[rows], near.shape[1], axis=0), self._nodes[near.ravel()])
-            reached[rows] = np.any(free.reshape(near.shape) & (self._part[near] == self._main_part), axis=1)
+        for rows in np.array_split(remaining, 1 + len(remaining) // _AT_ONCE) if len(remaining) else ():
+            for nodes in self._nearest(q[rows]).T:  # nearest first: it mostly decides
+                left = ~reached[rows] & (self._part[nodes] == self._main_part)
+                reached[rows[left]] = self.clear_ways(q[rows[left]], self._nodes[nodes[left]])
         return reached
 
     def path(self, start: Array, end: Array) -> list[Array] | None:

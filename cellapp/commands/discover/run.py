@@ -6,13 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from cellapp.cell.planning.planned_stops import PlannedStops
-from cellapp.cell.planning.propose import (
-    Effort,
-    PredictedDiscrimination,
-    append_proposed_stops,
-    propose_stops,
-    why_not_driven,
-)
+from cellapp.cell.planning.propose import Effort, append_proposed_stops, propose_stops, why_not_driven
 from cellapp.cell.planning.propose import Proposal as ProposedStops
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.recordings import known_readings, read_recordings_of
@@ -24,19 +18,12 @@ from cellapp.commands.stored_model import append_with_model, export_model, model
 from cellapp.estimation.calibration.calibrate import provenance_of
 from cellapp.estimation.discovery.discover import ArmSearch, discover_arm, discover_cell
 from cellapp.estimation.discovery.outcome import CellDiscovery
-from cellapp.estimation.discovery.records import (
-    DiscoverResult,
-    Discrimination,
-    Proposal,
-    ProposalQuestion,
-    ProposedStop,
-)
+from cellapp.estimation.discovery.records import DiscoverResult, Proposal, ProposedStop
 from cellapp.estimation.motion.calibrate import SearchWithRecordings
 from cellapp.estimation.prior.calibrate import SearchWithPriors
 from cellapp.estimation.readings import Readings
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
-from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import UNATTENDED, JobToken, Notice, duration_words
 from cellapp.ground.results import CALIBRATE, DISCOVER
@@ -174,21 +161,14 @@ def discover_result(found: CellDiscovery) -> DiscoverResult:
 
 def proposal_result(proposed: ProposedStops, first: int | None, notes: Sequence[str]) -> Proposal:
     """Build the proposed stops; ``first`` is the number of the first one in the run's plan, None if not in the plan."""
-    arms = grouped((prediction.arm, _question(prediction)) for prediction in proposed.predictions)
     return Proposal(
         count=len(proposed.stops),
         written=first is not None,
         first_configuration=first,
-        arms={name: tuple(questions) for name, questions in arms.items()},
+        arms=proposed.questions,
         stops=tuple(_stop_rows(proposed.stops, first or 0)),
         notes=tuple(notes),
         advice=proposed.advice,
-    )
-
-
-def _question(predicted: PredictedDiscrimination) -> ProposalQuestion:
-    return ProposalQuestion.like(
-        predicted, against=predicted.against or None, discrimination=Discrimination.like(predicted)
     )
 
 

@@ -117,12 +117,12 @@ def test_proposed_stops_decide_what_a_poor_plan_leaves_open_and_better_than_rand
         assert set(discovery.result.accepted[0].answer_set) == {"backlash", "unsettled_measurement"}
     assert len(proposal.stops) == PROPOSED
     for arm in ("left", "right"):
-        answers = {(a.effect, a.against): a for a in proposal.predictions if a.arm == arm}
+        answers = {(one.effect, one.against): one for one in proposal.questions[arm]}
         assert set(answers) == {("backlash", "unsettled_measurement"), ("unsettled_measurement", "backlash")}
         for answer in answers.values():
-            assert answer.now < 0.1
-            assert answer.proposed > 1.0
-        hardest = min(answers.values(), key=lambda answer: answer.proposed / answer.needed)
+            assert answer.discrimination.now < 0.1
+            assert answer.discrimination.proposed > 1.0
+        hardest = min(answers.values(), key=lambda answer: answer.discrimination.proposed / answer.needed)
         assert hardest.gain_over_random > 1.5
 
 
@@ -240,7 +240,7 @@ def test_collecting_the_proposed_stops_distinguishes_the_effects(
 def test_the_pure_computation_is_reproducible(tied: Tied) -> None:
     run, found, _ = tied
     first, second = (proposed(run, found, 2, LITTLE) for _ in range(2))
-    assert first.predictions == second.predictions
+    assert first.questions == second.questions
     for name, q in first.stops.q.items():
         np.testing.assert_array_equal(q, second.stops.q[name])
 
