@@ -18,7 +18,8 @@ PROCESSES = 4
 """Of all tests, for two cores: one that waits, and three that compute, as tests of screens wait half of their time."""
 _LONG_FIRST = ("interfaces", "estimation", "drivers", "commands", "cell")
 """Folders, those with the longest files first: what is begun last shall not run on alone."""
-_NICENESS = 5
+_NICENESS = 7
+"""Three that compute leave together as much to the others as two did with 5."""
 
 
 def in_order(items: list[pytest.Item]) -> None:
