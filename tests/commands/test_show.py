@@ -37,13 +37,12 @@ from cellapp.interfaces.page.page import template
 from cellapp.interfaces.python.printed import html_view
 from cellapp.interfaces.render.terminal import plain_text
 from cellapp.interfaces.tui import confirmations
-from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.program import possible_commands
 from cellapp.interfaces.tui.dialogs.question import Reading
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.verb_jobs import job_of
 from tests.commands.toys.greet import VERB as GREET
-from tests.interfaces.tui.pilot import PROFILES, SMALL, opened, shown_text, until
+from tests.interfaces.tui.pilot import running, shown_text, until
 from tests.twin import finished_twin
 
 SMALL_MM, LARGE_MM = (ErrorSummary(mean=mm, rms=mm, std=0.0, max=mm, n=3) for mm in (0.1, 2.0))
@@ -219,9 +218,7 @@ async def test_a_dialog_a_job_and_a_text_in_the_terminal_application(
     run: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(confirmations, "records", lambda: WITH_TOY)
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
+    async with running() as (pilot, app):
         app.open_run(run)
         await until(pilot, lambda: app.workspace.folder == run, "the run")
         offered = {one.title: one for one in possible_commands(app, app.day_screen)}

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import threading
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -102,6 +102,15 @@ async def turned_to(pilot: Pilot[None], view: str) -> None:
 async def opened(pilot: Pilot[None], app: CellApp) -> None:
     """Wait until the first profile is open."""
     await until(pilot, lambda: app.workspace.profile is not None, "a profile")
+
+
+@asynccontextmanager
+async def running(folder: Path = PROFILES, size: tuple[int, int] = SMALL) -> AsyncIterator[tuple[Pilot[None], CellApp]]:
+    """The application with the first profile of a folder open."""
+    app = CellApp(folder)
+    async with app.run_test(size=size) as pilot:
+        await opened(pilot, app)
+        yield pilot, app
 
 
 async def ended(pilot: Pilot[None], app: CellApp, wait_s: float = WAIT_S) -> None:

@@ -39,6 +39,7 @@ from tests.interfaces.tui.pilot import (
     ended,
     exit_code,
     opened,
+    running,
     shown_text,
     shows,
     tells,
@@ -48,9 +49,7 @@ from tests.interfaces.tui.pilot import (
 
 async def test_an_unforeseen_error_is_one_sentence_and_its_text_is_kept() -> None:
     held = HeldJob(error=ZeroDivisionError("by the test"))
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
+    async with running() as (pilot, app):
         app.start_job(held.job(folder=Path("here")))
         held.go_on.set()
         await ended(pilot, app)
@@ -80,9 +79,7 @@ async def test_a_bad_profile_is_a_sentence_and_starts_nothing(tmp_path: Path) ->
 
 async def test_nothing_else_is_opened_while_a_job_moves_arms() -> None:
     held = HeldJob()
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
+    async with running() as (pilot, app):
         app.start_job(held.job(folder=Path("here")))
         app.open_profile(PROFILES / "ur10-ur5.yaml")
         await tells(pilot, "moves arms")
@@ -170,9 +167,7 @@ def test_footers_break_between_entries_only_and_keep_the_general_ones(width: int
 
 async def test_the_next_step_is_begun_where_its_screen_is_shown() -> None:
     collected_run(RUN, "stopped")
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
+    async with running() as (pilot, app):
         app.open_run(RUN)
         await until(pilot, lambda: app.workspace.folder == RUN, "the run")
         await pilot.press("n")
@@ -248,9 +243,7 @@ async def test_every_next_step_of_every_state_is_begun_by_n_or_says_what_to_do(
 
 
 async def test_the_palette_lists_each_command_once() -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
+    async with running() as (pilot, app):
         for entry in SCREENS:
             await pilot.press(entry.key)
             await settle(pilot)

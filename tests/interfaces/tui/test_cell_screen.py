@@ -37,6 +37,7 @@ from tests.interfaces.tui.pilot import (
     MovingJob,
     ended,
     opened,
+    running,
     shown_text,
     shows,
     tells,
@@ -80,9 +81,7 @@ async def test_failed_checks_come_first_and_are_read_in_full() -> None:
 
 async def test_a_doctor_that_is_old_or_of_another_file_is_shown_as_old(tmp_path: Path) -> None:
     shutil.copytree(PROFILES, tmp_path / "profiles")
-    app = CellApp(tmp_path / "profiles")
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
+    async with running(tmp_path / "profiles") as (pilot, app):
         await pilot.press("b")
         await ended(pilot, app)
         screen = cell_screen(app)
@@ -113,9 +112,7 @@ async def test_a_day_speaks_of_the_chosen_profile_and_not_of_the_run_that_is_ope
 ) -> None:
     held = HeldJob()
     monkeypatch.setattr("cellapp.interfaces.tui.verb_jobs.whole_day", lambda path, folder, _: held.job("run", folder))
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
+    async with running() as (pilot, app):
         app.workspace = beside_a_simulated_run(app)
         await pilot.press("f5")
         await until(pilot, lambda: isinstance(app.screen, Choice), "the question", 5.0)
@@ -141,9 +138,7 @@ def test_a_profile_that_was_edited_after_the_question_moves_nothing(tmp_path: Pa
 async def test_a_question_that_a_stop_has_answered_is_not_asked() -> None:
     moving = MovingJob()
     answers: list[bool] = []
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
+    async with running() as (pilot, app):
         app.start_job(moving.job())
         await asyncio.to_thread(moving.began.wait, WAIT_S)
         await pilot.press("escape")

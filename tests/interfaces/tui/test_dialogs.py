@@ -31,7 +31,7 @@ from cellapp.interfaces.tui.job_outcome import REPORT_FILE, ending_of
 from cellapp.interfaces.tui.jobs import Job, JobEnded
 from cellapp.interfaces.tui.screens.calibrate import ExportArms
 from tests.handbook.screen_pictures import settle
-from tests.interfaces.tui.pilot import PROFILES, SMALL, ended, opened, shown_text, until
+from tests.interfaces.tui.pilot import PROFILES, SMALL, ended, opened, running, shown_text, until
 
 GIVEN = {"folder": Path("day"), "targets": Path("old.script")}
 
@@ -95,9 +95,7 @@ ASKED = {
 async def test_each_key_that_repeats_what_a_run_holds_asks_first(finished_run: Path) -> None:
     shutil.copytree(finished_run, DAY)
     before = (DAY / "run.sqlite").read_bytes()
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
+    async with running() as (pilot, app):
         app.open_run(DAY, PROFILES / "twin.yaml")
         await until(pilot, lambda: app.workspace.results is not None, "the run")
         for what, (step, key) in ASKED.items():
@@ -125,9 +123,7 @@ async def test_the_earlier_run_is_chosen_and_shown(finished_run: Path) -> None:
             moved = readings.p_M + np.array([0.01, 0.02, 0.03])  # the same stops, seen from another place
             run.add_readings(name, replace(readings, p_M=moved))
         calibrate_run(run)
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
+    async with running() as (pilot, app):
         app.open_run(DAY_OF_PRIOR)
         await until(pilot, lambda: app.workspace.results is not None, "the run")
         await pilot.press("4")

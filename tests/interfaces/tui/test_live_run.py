@@ -21,7 +21,7 @@ from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.widgets.header import DayHeader
 from tests.cell.run.small_runs import collected_run
-from tests.interfaces.tui.pilot import PROFILES, ended, log_text, opened, shown_text, shows, until
+from tests.interfaces.tui.pilot import PROFILES, ended, log_text, opened, running, shown_text, shows, until
 from tests.interfaces.tui.terminal import ROOT
 from tests.waiting import WAIT_S, within
 
@@ -96,9 +96,7 @@ async def test_a_run_in_which_another_process_works_is_watched_and_commanded() -
 
 
 async def test_a_job_that_begins_or_ends_meanwhile_is_noticed() -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=(120, 40)) as pilot:
-        await opened(pilot, app)
+    async with running(size=(120, 40)) as (pilot, app):
         await pilot.press("a", "3")
         await until(pilot, lambda: app.workspace.folder is not None, "the run")
         folder = app.workspace.folder
@@ -157,9 +155,7 @@ async def test_a_job_on_another_computer_is_named_and_nothing_is_begun(tmp_path:
         address = json.loads((RUN / JOB_FILE).read_text())
     (RUN / JOB_FILE).write_text(json.dumps({**address, "computer": "cell-pc"}))
     shutil.rmtree(OTHER)
-    app = CellApp(PROFILES)
-    async with app.run_test(size=(120, 40)) as pilot:
-        await opened(pilot, app)
+    async with running(size=(120, 40)) as (pilot, app):
         app.open_run(RUN)
         await until(pilot, lambda: "in use by a job on computer 'cell-pc'" in app.message, "where it runs")
         await pilot.press("3")

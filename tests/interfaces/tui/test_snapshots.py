@@ -24,7 +24,7 @@ from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.screens import SCREENS
 from tests.approved import differences
 from tests.handbook.screen_pictures import settle
-from tests.interfaces.tui.pilot import PROFILES, SIZES, WAIT_S, opened, shown_text, shows, until
+from tests.interfaces.tui.pilot import PROFILES, SIZES, WAIT_S, running, shown_text, shows, until
 
 SNAPSHOTS = Path(__file__).parent / "snapshots"
 _PLOT = re.compile("[\u2800-\u28ff]")
@@ -50,9 +50,7 @@ async def day(run: Path, size: tuple[int, int]) -> AsyncIterator[tuple[Pilot[Non
     folder = Path("logs") / "day"
     shutil.copytree(run, folder)
     shutil.copytree(PROFILES, "profiles")
-    app = CellApp(Path("profiles"))
-    async with app.run_test(size=size) as pilot:
-        await opened(pilot, app)
+    async with running(Path("profiles"), size=size) as (pilot, app):
         app.open_run(folder)
         await until(pilot, lambda: app.workspace.results is not None, "the run")
         await settle(pilot)
@@ -122,9 +120,7 @@ def cells_cut(app: CellApp) -> Iterator[str]:
 
 
 async def test_a_tiny_terminal_gets_a_sentence_and_stop() -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=(40, 10)) as pilot:
-        await opened(pilot, app)
+    async with running(size=(40, 10)) as (pilot, app):
         for entry in SCREENS:
             await pilot.press(entry.key)
             await pilot.pause()

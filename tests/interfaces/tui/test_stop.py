@@ -8,6 +8,8 @@ import signal
 import sys
 import threading
 import time
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from pathlib import Path
 
 import pytest
@@ -31,6 +33,15 @@ async def started(pilot: Pilot[None], app: CellApp, moving: MovingJob) -> None:
     moving.clock = time.monotonic
     app.start_job(moving.job(Path("here")))
     await until(pilot, moving.began.is_set, "the job")
+
+
+@asynccontextmanager
+async def held_by(moving: MovingJob) -> AsyncIterator[tuple[Pilot[None], CellApp]]:
+    """The application while a job of moving arms runs."""
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await started(pilot, app, moving)
+        yield pilot, app
 
 
 async def aborted(pilot: Pilot[None], app: CellApp) -> None:
@@ -105,9 +116,7 @@ async def opened_dialog(pilot: Pilot[None], app: CellApp, dialog: str) -> None:
 
 async def test_pause_resume_stop_and_abort_are_different_things() -> None:
     moving = MovingJob()
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await started(pilot, app, moving)
+    async with held_by(moving) as (pilot, app):
         assert app.record.state == "running"
         for key, request, shown in (
             ("p", "pause", "paused"),
@@ -137,9 +146,7 @@ async def test_pause_resume_stop_and_abort_are_different_things() -> None:
 
 async def test_real_arms_move_when_the_profiles_name_is_typed() -> None:
     moving = MovingJob(asks=True)
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await started(pilot, app, moving)
+    async with held_by(moving) as (pilot, app):
         await until(pilot, lambda: isinstance(app.screen, MotionQuestion), "the question")
         assert app.workspace.profile is not None
         words = [str(text.render()) for text in app.screen.query(Static)]
@@ -156,9 +163,7 @@ async def test_real_arms_move_when_the_profiles_name_is_typed() -> None:
 
 async def test_a_button_refuses_the_motion() -> None:
     moving = MovingJob(asks=True)
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await started(pilot, app, moving)
+    async with held_by(moving) as (pilot, app):
         await until(pilot, lambda: isinstance(app.screen, MotionQuestion), "the question")
         await pilot.pause()
         await pilot.click("#refuse")
@@ -168,9 +173,7 @@ async def test_a_button_refuses_the_motion() -> None:
 
 async def test_a_resume_that_is_handled_after_a_later_stop_does_not_undo_it() -> None:
     moving = MovingJob()
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await started(pilot, app, moving)
+    async with held_by(moving) as (pilot, app):
         given = app.presses.give()  # as the thread does that reads the terminal
         assert given is not None
         requests: list[str] = []
@@ -188,9 +191,7 @@ async def test_a_resume_that_is_handled_after_a_later_stop_does_not_undo_it() ->
 
 async def test_leaving_brakes_and_ends_a_job_that_holds() -> None:
     moving = MovingJob()
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await started(pilot, app, moving)
+    async with held_by(moving) as (pilot, app):
         await pilot.press("escape")
         await until(pilot, lambda: app.record.state == "stopped", "the held job")
         await pilot.press("q", "y")
@@ -201,9 +202,8 @@ async def test_leaving_brakes_and_ends_a_job_that_holds() -> None:
 
 async def test_an_application_that_goes_away_brakes_the_arms() -> None:
     moving = MovingJob()
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await started(pilot, app, moving)
+    async with held_by(moving) as (_, app):
+        pass  # it is left at once
     assert moving.brakes[-1][0] == "stop"
     await asyncio.to_thread(app.wait_for_job)
     assert not [thread for thread in threading.enumerate() if thread.name == "collect"]
@@ -219,9 +219,7 @@ async def test_a_closed_terminal_brakes_the_arms_and_ends_the_program(number: in
 async def braked_by_signal(number: int) -> float:
     """Send this process a signal during a job; return how long it took until the arms braked [s]."""
     moving, before = MovingJob(), signal.getsignal(number)
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await started(pilot, app, moving)
+    async with held_by(moving) as (pilot, app):
         sent_s = time.monotonic()
         os.kill(os.getpid(), number)
         assert await asyncio.to_thread(moving.braked.wait, WAIT_S)
@@ -234,9 +232,7 @@ async def braked_by_signal(number: int) -> float:
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signal")
 async def test_ctrl_z_of_another_terminal_pauses_instead_of_freezing_the_program() -> None:
     moving = MovingJob()
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await started(pilot, app, moving)
+    async with held_by(moving) as (pilot, app):
         os.kill(os.getpid(), signal.SIGTSTP)
         await until(pilot, lambda: app.record.state == "paused", "the pause")
         os.kill(os.getpid(), signal.SIGTSTP)

@@ -33,7 +33,7 @@ from cellapp.interfaces.tui.widgets.chart_plot import ON_DARK, ON_LIGHT
 from cellapp.interfaces.tui.widgets.log_pane import LogPane
 from cellapp.interfaces.tui.widgets.progress_bars import WHOLE_DAY, Part, _line, ending_words, parts_of
 from tests.cell.run.small_runs import planned_run
-from tests.interfaces.tui.pilot import PROFILES, SIZES, SMALL, HeldJob, ended, opened, shown_text, shows, until
+from tests.interfaces.tui.pilot import PROFILES, SIZES, SMALL, HeldJob, ended, opened, running, shown_text, shows, until
 from tests.waiting import WAIT_S
 
 NOON = datetime(2026, 3, 1, 12, 0, 0)
@@ -149,9 +149,7 @@ async def test_each_state_of_a_stop_is_shown_without_the_job() -> None:
 async def test_an_arm_that_was_not_seen_stays_on_every_screen_until_a_person_says_so(tmp_path: Path) -> None:
     with planned_run(tmp_path / "run") as run:
         note_halt(run, "left", Halt("not seen at rest", "arm left: link lost"))
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SIZES[1]) as pilot:
-        await opened(pilot, app)
+    async with running(size=SIZES[1]) as (pilot, app):
         app.open_run(tmp_path / "run")
         await until(pilot, lambda: "NOT SEEN AT REST: arm left" in shown_text(app), "the doubt")
         for key in "2345678":
@@ -239,9 +237,7 @@ async def test_a_stop_is_told_with_its_reason(monkeypatch: pytest.MonkeyPatch) -
     rung: list[str] = []
     monkeypatch.setattr(CellApp, "bell", lambda app: rung.append(app.message))
     held = HeldJob((HALF, LOST))
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
+    async with running() as (pilot, app):
         app.start_job(held.job())
         await until(pilot, lambda: any("link lost, 215 of 400" in one for one in rung), "the bell")
         held.go_on.set()
