@@ -24,6 +24,7 @@ from cellapp.estimation.discovery.joint_fit import (
     uncertainty_with_scatter,
     with_posterior,
 )
+from cellapp.estimation.discovery.prior_fit import Prior, normal_matrix, posterior
 from cellapp.estimation.discovery.process import (
     Component,
     Hyperparameters,
@@ -35,7 +36,6 @@ from cellapp.estimation.discovery.process import (
 )
 from cellapp.estimation.discovery.search.state import Review, SearchResult
 from cellapp.estimation.discovery.search.unnamed_term import without_name
-from cellapp.estimation.prior.belief import Prior, normal_matrix, posterior
 from cellapp.ground.errors import NotConverged
 from cellapp.robot.effects import EffectColumn
 from cellapp.robot.effects.effect import is_unnamed, lent_effect

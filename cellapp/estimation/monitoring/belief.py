@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from cellapp.estimation.calibration.least_squares import excess_variance, mean_variance
 from cellapp.estimation.calibration.parameters import ParameterSet
 from cellapp.estimation.calibration.quantities import ArmReadings, Quantities, measured_quantities, states_nothing
-from cellapp.estimation.prior.belief import Posterior, design, is_smooth
+from cellapp.estimation.discovery.prior_fit import Posterior, design
+from cellapp.estimation.prior.belief import is_smooth
 from cellapp.estimation.prior.calibrate import calibration_posterior
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError

@@ -23,6 +23,7 @@ import scipy
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.quantities import Quantities, conditions_of_arms
+from cellapp.estimation.discovery.prior_fit import design, term_columns
 from cellapp.estimation.monitoring.belief import (
     LENGTH_M,
     ROTATION_RAD,
@@ -33,7 +34,7 @@ from cellapp.estimation.monitoring.belief import (
     measured_vectors,
     noise_covariance,
 )
-from cellapp.estimation.prior.belief import design, is_own, is_smooth, term_columns
+from cellapp.estimation.prior.belief import is_own, is_smooth
 from cellapp.estimation.prior.update import change_names
 from cellapp.estimation.readings import Readings
 from cellapp.ground.grouping import grouped

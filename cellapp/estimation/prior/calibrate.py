@@ -26,7 +26,8 @@ from cellapp.estimation.calibration.quantities import (
 from cellapp.estimation.calibration.records import ArmPriorResult
 from cellapp.estimation.discovery.discover import discover_arm
 from cellapp.estimation.discovery.outcome import ArmFound, HeldOut
-from cellapp.estimation.prior.belief import Belief, Posterior, Prior, geometry_sizes, is_smooth, posterior, sizes
+from cellapp.estimation.discovery.prior_fit import Posterior, Prior, posterior
+from cellapp.estimation.prior.belief import Belief, geometry_sizes, is_smooth, sizes
 from cellapp.estimation.prior.update import Updated, first_model, update
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile

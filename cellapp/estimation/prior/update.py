@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from cellapp.estimation.calibration.identification import start_from_nominal
 from cellapp.estimation.calibration.quantities import ArmReadings, Quantities, with_probe
 from cellapp.estimation.calibration.records import PartDrift, SignatureChange, SignaturePart
-from cellapp.estimation.prior.belief import Belief, Posterior, design, is_own, posterior, sizes, term_columns
+from cellapp.estimation.discovery.prior_fit import Posterior, design, posterior, term_columns
+from cellapp.estimation.prior.belief import Belief, is_own, sizes
 from cellapp.ground.counting import plain
 from cellapp.ground.errors import NotConverged
 from cellapp.ground.grouping import grouped

@@ -22,13 +22,12 @@ from cellapp.commands.stages import CALIBRATION_FILE
 from cellapp.commands.trials.blind import Noise, blind_readings, with_hidden
 from cellapp.estimation.calibration.calibrate import calibrate_arm
 from cellapp.estimation.calibration.quantities import ArmReadings, measured_quantities, measurement_conditions
-from cellapp.estimation.discovery import discover
+from cellapp.estimation.discovery import discover, prior_fit
 from cellapp.estimation.discovery.all_readings import fit_to_all
 from cellapp.estimation.discovery.arm_data import has_smooth_terms
 from cellapp.estimation.discovery.discover import Searched, discover_arm, search_rows
 from cellapp.estimation.discovery.outcome import HeldOut
 from cellapp.estimation.discovery.records import with_effects
-from cellapp.estimation.prior import belief
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import NotConverged
 from cellapp.ground.progress import Cancelled, JobSteps, JobToken
@@ -456,7 +455,7 @@ def test_where_the_fit_to_all_fails_the_model_of_the_search_is_in_force_and_said
     found = searched().search
     monkeypatch.setattr(discover, "_MOST_SEARCHED", SEARCHED)
     monkeypatch.setattr(discover, "search", lambda *_: found)
-    monkeypatch.setattr(belief, "_STEPS", 1)
+    monkeypatch.setattr(prior_fit, "_STEPS", 1)
     result = discover_arm(drawn_beyond()).result
     assert [one.effect for one in result.accepted] == [term.slug for term in found.fit.terms]
     assert result.heldout_mm.after < 0.5 * result.heldout_mm.before
@@ -467,7 +466,7 @@ def test_where_the_fit_to_all_fails_the_model_of_the_search_is_in_force_and_said
 
 
 def test_a_fit_that_does_not_converge_is_an_error(monkeypatch):
-    monkeypatch.setattr(belief, "_STEPS", 1)
+    monkeypatch.setattr(prior_fit, "_STEPS", 1)
     result = searched()
     with pytest.raises(NotConverged, match="effects to all readings"):
         fit_to_all(result.search, result.data, result.search.threshold)

@@ -23,7 +23,8 @@ from cellapp.estimation.calibration.identification import identify
 from cellapp.estimation.calibration.parameters import candidate_columns, weak_priors
 from cellapp.estimation.calibration.quantities import ArmReadings, measured_quantities
 from cellapp.estimation.calibration.records import CalibrateResult
-from cellapp.estimation.prior.belief import Belief, is_own, posterior
+from cellapp.estimation.discovery.prior_fit import posterior
+from cellapp.estimation.prior.belief import Belief, is_own
 from cellapp.estimation.prior.calibrate import Earlier, SearchWithPriors, believed, stated_model, updated_arm
 from cellapp.estimation.prior.update import Updated, first_model, update
 from cellapp.ground.errors import InputError, NotConverged

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.parameters import candidate_columns
 from cellapp.estimation.calibration.quantities import measured_quantities
+from cellapp.estimation.discovery.prior_fit import Prior, posterior
 from cellapp.estimation.monitoring.belief import CheckBelief, SequentialState, arm_belief, watching
 from cellapp.estimation.monitoring.causes import Design
 from cellapp.estimation.monitoring.linear import StopRows
 from cellapp.estimation.monitoring.sequential import NOTHING_YET, choose_stops, design_of, judged
-from cellapp.estimation.prior.belief import Prior, posterior
 from cellapp.estimation.readings import Readings
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.chain import Geometry

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from scipy.stats import binom, chi2, kstest
 
 from cellapp.estimation.calibration.quantities import measured_quantities
+from cellapp.estimation.discovery.prior_fit import Prior, posterior
 from cellapp.estimation.monitoring.belief import CheckBelief, arm_belief, check_belief
 from cellapp.estimation.monitoring.causes import Design, MinPValueTest, after, log_valid
 from cellapp.estimation.monitoring.linear import Moments, StopRows, directions_of, stop_rows
 from cellapp.estimation.monitoring.records import CheckResult
 from cellapp.estimation.monitoring.sequential import SequentialTest
-from cellapp.estimation.prior.belief import Prior, posterior
 from cellapp.estimation.readings import Readings, joined
 from cellapp.ground.errors import InputError, NotConverged
 from cellapp.ground.profile import Profile
