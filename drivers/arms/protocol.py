@@ -175,7 +175,7 @@ class HostStalled(ArmError):
 
 
 FaultListener = Callable[[ArmError], None]
-"""callback for the first fault of an arm. It is called from any thread and must return at once."""
+"""Callback for the first fault of an arm. It is called from any thread and must return at once."""
 
 
 class Arm(Protocol):
