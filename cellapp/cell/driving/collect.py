@@ -24,7 +24,14 @@ from cellapp.cell.driving.measuring import References, SmrMeasurement
 from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover, PointAtRest, point_measured
 from cellapp.cell.driving.reaction import CellStopped, StopCause, StopReaction, cause_of
 from cellapp.cell.driving.records import CollectResult, End
-from cellapp.cell.driving.stops_to_collect import StopQueue, Travel, Work, forbidden_stops, remaining_work, work_again
+from cellapp.cell.driving.stops_to_collect import (
+    StopQueue,
+    StopsToCollect,
+    Travel,
+    forbidden_stops,
+    remaining_work,
+    work_again,
+)
 from cellapp.cell.driving.supervision import CellSupervisor, reacting
 from cellapp.cell.driving.sweeping import SweepDriver, Sweeps, due_sweeps
 from cellapp.cell.planning.planned_stops import planned_time, tell_time
@@ -72,7 +79,7 @@ class CollectSession:
 
     run: RunFile
     profile: Profile
-    work: Work
+    work: StopsToCollect
     cell: Cell
     bodies: CellBodies
     reaction: StopReaction
@@ -515,7 +522,7 @@ def collect_run(
     return result.model_copy(update={"replaced": replaced, "notes": (*result.notes, *_held_out_notes(run, work))})
 
 
-def _require_space(run: RunFile, work: Work) -> None:
+def _require_space(run: RunFile, work: StopsToCollect) -> None:
     """Raise ``InputError`` unless all that remains to be collected can be written; nothing has moved."""
     stops, sweeps = (len(work.stops) + len(work.reserves), [] if work.again else [*chain(*due_sweeps(run).values())])
     readings = stops * len(work.plan)
@@ -540,7 +547,7 @@ class _Sessions:
     ended_s: float = math.inf
     """End of the last session on the clock of its cell [s]."""
 
-    def collect(self, profile: Profile, work: Work) -> End:
+    def collect(self, profile: Profile, work: StopsToCollect) -> End:
         """Collect stops with the load of the profile. Raise as ``collect_run``."""
         run, control, notes = self.run, self.control, self.notes
         bodies = cell_bodies(profile)
@@ -597,7 +604,7 @@ def _collected(
     )
 
 
-def _held_out_notes(run: RunFile, work: Work) -> list[str]:
+def _held_out_notes(run: RunFile, work: StopsToCollect) -> list[str]:
     """Return a note if readings of the validation set were measured again: their errors may then come out too small."""
     held_out = {
         int(stop)

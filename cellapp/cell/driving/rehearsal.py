@@ -14,7 +14,7 @@ from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover
 from cellapp.cell.driving.reaction import StopReaction
 from cellapp.cell.driving.records import RehearsedMotion
 from cellapp.cell.driving.rehearsal_rungs import RUNGS, Rung, RungName
-from cellapp.cell.driving.stops_to_collect import Travel, Work, forbidden_stops, remaining_work
+from cellapp.cell.driving.stops_to_collect import StopsToCollect, Travel, forbidden_stops, remaining_work
 from cellapp.cell.driving.supervision import hold_while_paused, reacting
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
@@ -76,7 +76,7 @@ class _Driver:
     """Drives one rung in an open cell."""
 
     run: RunFile
-    work: Work
+    work: StopsToCollect
     rung: Rung
     arms: tuple[str, ...]
     cell: Cell

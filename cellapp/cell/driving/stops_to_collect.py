@@ -30,7 +30,7 @@ from drivers.arms.protocol import ArmError, ArmState
 
 
 @dataclass(frozen=True)
-class Work:
+class StopsToCollect:
     """The stops to collect.
 
     Attributes
@@ -86,7 +86,7 @@ class Work:
         """Indices of the loads of the stops to collect, ascending."""
         return tuple(sorted({int(self.route.load[stop]) for stop in self.stops}))
 
-    def with_load(self, load: int) -> Work:
+    def with_load(self, load: int) -> StopsToCollect:
         """Return the part of the work with one load; reserves stay, whatever their load."""
         return replace(self, stops=tuple(stop for stop in self.stops if self.route.load[stop] == load))
 
@@ -95,7 +95,7 @@ class Work:
         return float(self.route.dwell_s[name][stop])
 
 
-def remaining_work(run: RunFile, *, resume: bool) -> Work:
+def remaining_work(run: RunFile, *, resume: bool) -> StopsToCollect:
     """Return the remaining work. Raise ``InputError`` without a plan, or if stops are stored and not ``resume``."""
     route = read_planned_stops(run)
     if not len(route):
@@ -110,7 +110,7 @@ def remaining_work(run: RunFile, *, resume: bool) -> Work:
     readings = [run.readings(name) for name in run.arms()]
     sampled = any(arm.split is not None for arm in readings)
     reserves = run.profile.plan.reserves(total)
-    return Work(
+    return StopsToCollect(
         route=route,
         stops=tuple(stop for stop in range(total) if stop not in done and stop not in reserves),
         reserves=tuple(stop for stop in reserves if stop not in done),
@@ -121,7 +121,7 @@ def remaining_work(run: RunFile, *, resume: bool) -> Work:
     )
 
 
-def work_again(run: RunFile, stops: Collection[int]) -> Work:
+def work_again(run: RunFile, stops: Collection[int]) -> StopsToCollect:
     """Return the work of measuring stops again, as they were planned; nothing else is visited.
 
     Raises
@@ -147,7 +147,7 @@ def work_again(run: RunFile, stops: Collection[int]) -> Work:
 class StopQueue:
     """Queue of the stops to visit; reserves and stops to be tried again are appended."""
 
-    def __init__(self, work: Work) -> None:
+    def __init__(self, work: StopsToCollect) -> None:
         self._waiting = deque(work.stops)
         self._reserves = deque(work.reserves)
         self._deferred: set[int] = set()
@@ -201,7 +201,7 @@ Targets = Mapping[str, Vector]
 class Travel:
     """Moves the arms of one session to stops and home."""
 
-    def __init__(self, profile: Profile, mover: Mover, work: Work) -> None:
+    def __init__(self, profile: Profile, mover: Mover, work: StopsToCollect) -> None:
         self._mover, self._work = mover, work
         self._homes: Targets = home_positions(profile)
         self.slow_again()
@@ -286,7 +286,9 @@ class Travel:
         return states
 
 
-def forbidden_stops(cell: Cell, work: Work, homes: Mapping[str, Vector]) -> tuple[dict[int, str], dict[str, ArmError]]:
+def forbidden_stops(
+    cell: Cell, work: StopsToCollect, homes: Mapping[str, Vector]
+) -> tuple[dict[int, str], dict[str, ArmError]]:
     """Return the stops that a controller forbids, stop -> reason, and errors by arm.
 
     The query covers all stops that are not stored, and the reserves, with the ends of their legs and the starts of
@@ -317,7 +319,7 @@ def forbidden_stops(cell: Cell, work: Work, homes: Mapping[str, Vector]) -> tupl
     return forbidden, errors
 
 
-def _positions(work: Work, stops: Sequence[int], name: str) -> list[tuple[int, Vector]]:
+def _positions(work: StopsToCollect, stops: Sequence[int], name: str) -> list[tuple[int, Vector]]:
     """Return the joint positions of an arm at stops and on the planned ways to them, each with its stop."""
     found = []
     for stop in stops:

@@ -45,7 +45,7 @@ _AIR_AMPLITUDE_K = 1.5
 
 
 @dataclass(frozen=True)
-class Noise:
+class TrialNoise:
     """Noise model of the readings.
 
     ``gaussian``, or ``heavy`` (Student's t with 4 degrees of freedom, scaled to the same standard deviation);
@@ -90,7 +90,7 @@ def _visits(
 
 
 def blind_readings(
-    profile: Profile, plan: Mapping[str, Array] | PlannedStops, seed: int, noise: Noise | None = None
+    profile: Profile, plan: Mapping[str, Array] | PlannedStops, seed: int, noise: TrialNoise | None = None
 ) -> dict[str, Readings]:
     """Simulate the readings of all arms at the stops of ``plan``.
 
@@ -98,7 +98,7 @@ def blind_readings(
     designed plan in its own order and with its approaches. The rest before a measurement varies from 1 to 8 s, the
     payload alternates in blocks between the profile's and 80 % of the rated one, and joints warm up.
     """
-    noise = noise or Noise()
+    noise = noise or TrialNoise()
     rng = np.random.default_rng([seed, 0xB11D])
     plant = build_plant(profile)
     n = len(plan) if isinstance(plan, PlannedStops) else len(next(iter(plan.values())))

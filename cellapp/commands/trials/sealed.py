@@ -24,7 +24,7 @@ from pydantic import JsonValue
 from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.planning.planned_stops import PlannedStops
 from cellapp.cell.run import RunFile
-from cellapp.commands.trials.blind import DURATION_S, Noise, beyond_geometry, blind_readings, with_hidden
+from cellapp.commands.trials.blind import DURATION_S, TrialNoise, beyond_geometry, blind_readings, with_hidden
 from cellapp.commands.trials.sealed_setup import (
     EXPECTED,
     HARD,
@@ -311,7 +311,7 @@ class _HiddenCell:
     noise_seed: int
     split_seed: int
 
-    def measured(self, effects: _Effects, noise: Noise) -> dict[str, Readings]:
+    def measured(self, effects: _Effects, noise: TrialNoise) -> dict[str, Readings]:
         """Simulate readings with noise."""
         return blind_readings(self.cell(effects, noise=True), self.plan, self.noise_seed, noise)
 

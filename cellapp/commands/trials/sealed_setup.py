@@ -11,7 +11,7 @@ import numpy as np
 from cellapp.cell.planning.plan import make_stops, plan_stops, sample_stops
 from cellapp.cell.planning.planned_stops import PlannedStops
 from cellapp.cell.safety.cell_bodies import cell_bodies
-from cellapp.commands.trials.blind import Noise
+from cellapp.commands.trials.blind import TrialNoise
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Arm, Profile
@@ -136,7 +136,11 @@ def cases(arms: Sequence[str], kind: str, n: int, seed: int) -> list[Case]:
     return [found[place] for place in order]
 
 
-NOISES: Mapping[str, Noise] = {"gaussian": Noise(), "heavy": Noise("heavy"), "repeatability": Noise("gaussian", 8e-6)}
+NOISES: Mapping[str, TrialNoise] = {
+    "gaussian": TrialNoise(),
+    "heavy": TrialNoise("heavy"),
+    "repeatability": TrialNoise("gaussian", 8e-6),
+}
 """Scatter of readings: as stated, with heavy tails, or with 8 µrad of unstated repeatability of each joint."""
 LAWS = ("same", "other")
 RANGES = ("full", "narrow")

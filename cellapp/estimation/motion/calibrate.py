@@ -59,7 +59,7 @@ from cellapp.estimation.motion.identify import (
     identify_from_motion,
     no_gross_errors,
 )
-from cellapp.estimation.motion.laws import Law, TimedPath
+from cellapp.estimation.motion.laws import JointLaw, TimedPath
 from cellapp.estimation.motion.residuals import Stops
 from cellapp.estimation.motion.search_state import MotionEffect
 from cellapp.estimation.motion.streams import Recording
@@ -576,7 +576,7 @@ def _result(effect: MotionEffect) -> MotionEffectResult:
     errors = effect.standard_errors.tolist()
     return MotionEffectResult(
         effect=effect.slug,
-        title=EFFECTS[effect.slug].title if effect.slug in EFFECTS else Law(effect.slug).title,
+        title=EFFECTS[effect.slug].title if effect.slug in EFFECTS else JointLaw(effect.slug).title,
         joints=effect.joints,
         parameters=Estimate.by_name(effect.names, effect.values.tolist(), errors, effect.units),
         evidence=effect.evidence,

@@ -27,7 +27,7 @@ import scipy
 from cellapp.estimation.calibration.least_squares import solve_psd
 from cellapp.estimation.motion.fit import Fittings, Solution, Source, allow_for_missing, normal_equations, solve
 from cellapp.estimation.motion.identify import MotionFit, RecordedArm, held_out_rms_mm, motion_fit, motion_problem
-from cellapp.estimation.motion.laws import Fading, JointLaws, JointTerm, Knee, Law, of_all_joints, state_in_motion
+from cellapp.estimation.motion.laws import Fading, JointLaw, JointLaws, JointTerm, Knee, of_all_joints, state_in_motion
 from cellapp.estimation.motion.residuals import residuals, whitening_filter
 from cellapp.estimation.motion.search_state import (
     CONFOUNDED,
@@ -35,8 +35,8 @@ from cellapp.estimation.motion.search_state import (
     ONLY_MOTION,
     SHOWN,
     MotionEffect,
+    SearchStep,
     State,
-    Step,
     beside_others,
     effects_of,
     has,
@@ -73,7 +73,7 @@ _WORTH_A_FIT = 0.5
 neighbours, so the evidence of the fit decides."""
 _ALIKE_TURNS = 1.0
 """Distance of two lines of one joint, times the turns that it made, below which they are one line."""
-_OF_POSTURE = (Law.WINDUP, Law.COMPLIANCE, Law.ONE_CYCLE)
+_OF_POSTURE = (JointLaw.WINDUP, JointLaw.COMPLIANCE, JointLaw.ONE_CYCLE)
 """Laws that a filter for slow noise suppresses while the residuals contain them: they are tested without it, too."""
 _AS_LIKELY = 4.5
 """Difference of log likelihoods within which the more usual of two counts is chosen: three standard deviations."""
@@ -130,16 +130,23 @@ class _Search:
     @property
     def alternatives(self) -> int:
         """Number of laws tried, for the correction of p-values."""
-        return len(Law) + len(_OF_POSTURE) + len(self.own)
+        return len(JointLaw) + len(_OF_POSTURE) + len(self.own)
 
     def run(self) -> MotionDiscovery:
         """Add laws of all joints and lines until chance explains the rest."""
         state = self._state(self.problem.without_terms(), None)
         state = _whitened(state)
-        first_mm, steps = state.heldout_mm, list[Step]()
-        loaded = (Law.WINDUP, Law.COMPLIANCE) if self.problem.masses is not None else ()
+        first_mm, steps = state.heldout_mm, list[SearchStep]()
+        loaded = (JointLaw.WINDUP, JointLaw.COMPLIANCE) if self.problem.masses is not None else ()
         own = [law for law in self.own if loaded or not law.needs_torques]
-        laws: list[Law | MotionLaw] = [Law.PLAY, Law.LAG, Law.INERTIA, Law.ONE_CYCLE, *loaded, *own]
+        laws: list[JointLaw | MotionLaw] = [
+            JointLaw.PLAY,
+            JointLaw.LAG,
+            JointLaw.INERTIA,
+            JointLaw.ONE_CYCLE,
+            *loaded,
+            *own,
+        ]
         while True:
             found = (
                 self._law(state, laws, steps)
@@ -150,7 +157,7 @@ class _Search:
                 break
             state, step = found
             steps = with_step(steps, step)
-            while step.law is Law.LINE:  # laws were tried just before
+            while step.law is JointLaw.LINE:  # laws were tried just before
                 more = self._tried("lines", partial(self._lines, state, steps))
                 if more is None:
                     break
@@ -159,7 +166,7 @@ class _Search:
             state = self._judged_to_its_end(state)
             better = self._tried("constants", partial(self._with_best_constants, state, steps, step.law))
             state, steps = better or (state, steps)
-            if step.law is Law.INERTIA:
+            if step.law is JointLaw.INERTIA:
                 better = self._tried("time constants", partial(self._with_time_constants, state, steps))
                 state, steps = better or (state, steps)
         for what, change in (
@@ -173,12 +180,12 @@ class _Search:
             state, steps = changed or (state, steps)
         return self._concluded(state, steps, first_mm)
 
-    def _concluded(self, state: State, steps: list[Step], first_mm: float) -> MotionDiscovery:
+    def _concluded(self, state: State, steps: list[SearchStep], first_mm: float) -> MotionDiscovery:
         """Fit the final model without filters, and state its effects."""
-        steps = [step if step.law is Law.LINE else beside_others(state, step) for step in steps]
+        steps = [step if step.law is JointLaw.LINE else beside_others(state, step) for step in steps]
         final, steps = self._settled(self._patient._unwhitened(state, self._patient._plain(state)), steps)
         # with lags only the sum of an offset and their mean is known: leave it as it is
-        late = has(steps, Law.LAG) or has(steps, Law.TIME_CONSTANT)
+        late = has(steps, JointLaw.LAG) or has(steps, JointLaw.TIME_CONSTANT)
         freed = allow_for_missing(final.problem, final.solution, with_clocks=not late)
         fit = motion_fit(final.problem, freed)
         found_effects = effects_of(final, steps)
@@ -201,13 +208,13 @@ class _Search:
     def _tried(self, what: str, candidate: Callable[[], Found | None]) -> Found | None:
         return tried(what, candidate, self.not_fitted)
 
-    def _with_exact_counts(self, state: State, steps: list[Step]) -> tuple[State, list[Step]]:
+    def _with_exact_counts(self, state: State, steps: list[SearchStep]) -> tuple[State, list[SearchStep]]:
         """Move lines to the counts that fit best beside all other terms: early lines entered before these were known.
 
         Lines of one joint that are unresolved over its turns are merged into the stronger one.
         """
         for _ in range(_COUNT_ROUNDS):
-            lines = terms_of(Law.LINE, steps)[::2]
+            lines = terms_of(JointLaw.LINE, steps)[::2]
             better: dict[tuple[int, int], int | None] = {}
             for term in lines:
                 if (term.joint, term.cycles) in better:
@@ -220,7 +227,7 @@ class _Search:
                 reach = np.abs(np.arange(len(power)) - term.cycles) <= _reach(state, term)
                 power = np.where(reach & (np.arange(len(power)) > 1), power, 0.0)
                 count = int(np.argmax(power))
-                if has(steps, Law.ONE_CYCLE) and power[2] > power[count] - _AS_LIKELY:
+                if has(steps, JointLaw.ONE_CYCLE) and power[2] > power[count] - _AS_LIKELY:
                     count = 2  # of the encoder disc with the one-cycle error
                 better.update({(line.joint, line.cycles): None for line in near})
                 better[term.joint, term.cycles] = count
@@ -231,10 +238,10 @@ class _Search:
             state = self._refitted(state, steps)
         return state, steps
 
-    def _with_sides(self, state: State, steps: list[Step]) -> tuple[State, list[Step]]:
+    def _with_sides(self, state: State, steps: list[SearchStep]) -> tuple[State, list[SearchStep]]:
         """Add lines of the neighbouring counts if these clearly fit better: teeth whose amplitude is modulated by the
         run-out of a gear, or counts that are not whole."""
-        lines = terms_of(Law.LINE, steps)
+        lines = terms_of(JointLaw.LINE, steps)
         beside = [_sides(*place, lines) for place in dict.fromkeys(term.place for term in lines) if place[1] > 2]
         terms = tuple(term for its in beside for term in its)
         if not terms:
@@ -252,14 +259,16 @@ class _Search:
             return state, steps
         statistic = statistic_of(trial, terms)
         log_p = log_chance(statistic, len(terms), len(beside))
-        return trial, [*steps, Step(Law.LINE, terms, statistic, log_p, state.heldout_mm, trial.heldout_mm)]
+        return trial, [*steps, SearchStep(JointLaw.LINE, terms, statistic, log_p, state.heldout_mm, trial.heldout_mm)]
 
-    def _with_best_constants(self, state: State, steps: list[Step], law: Law | MotionLaw) -> tuple[State, list[Step]]:
+    def _with_best_constants(
+        self, state: State, steps: list[SearchStep], law: JointLaw | MotionLaw
+    ) -> tuple[State, list[SearchStep]]:
         """Estimate again the reaches of a law's lost motion, or the knees of its springs, with the noise left by the
         law: the residuals before contained it as noise."""
         known = terms_of(law, steps)
         parts = [term for term in known if term.refines]
-        if not parts or not isinstance(law, Law):
+        if not parts or not isinstance(law, JointLaw):
             return state, steps
         rest = tuple(term for term in state.problem.layout.terms if term not in parts)
         values = np.delete(state.solution.values, places_of(state, parts))
@@ -273,7 +282,7 @@ class _Search:
         trial = self._judged_to_its_end(self._refitted(state, changed))
         return (trial, changed) if trial.heldout_mm < state.heldout_mm else (state, steps)
 
-    def _with_time_constants(self, state: State, steps: list[Step]) -> tuple[State, list[Step]]:
+    def _with_time_constants(self, state: State, steps: list[SearchStep]) -> tuple[State, list[SearchStep]]:
         """Replace inertia by a time constant at joints that accelerations turn against a spring, if it fits better."""
         step = steps[-1]
         values, covariance = values_of(state, step.terms)
@@ -282,33 +291,33 @@ class _Search:
             return state, steps
         other = {term.joint for term in late}
         kept = replace(step, terms=tuple(term for term in step.terms if term.joint not in other))
-        beside = [*steps[:-1], *([kept] if kept.terms else []), replace(step, law=Law.TIME_CONSTANT, terms=late)]
+        beside = [*steps[:-1], *([kept] if kept.terms else []), replace(step, law=JointLaw.TIME_CONSTANT, terms=late)]
         trial, beside = self._settled(self._refitted(state, beside), beside)
         if trial.heldout_mm > step.before_mm:
             return state, steps
         return self._with_one_lag(trial, beside)
 
-    def _with_one_lag(self, state: State, steps: list[Step]) -> tuple[State, list[Step]]:
+    def _with_one_lag(self, state: State, steps: list[SearchStep]) -> tuple[State, list[SearchStep]]:
         """Give all joints time constants, no further delays, and twist under acceleration only at vibrating joints, if
         that fits as well: the simpler of two explanations."""
-        late = terms_of(Law.TIME_CONSTANT, steps)
+        late = terms_of(JointLaw.TIME_CONSTANT, steps)
         if not late:
             return state, steps
         usual, own = float(np.median([term.shape[0] for term in late])), {term.joint: term for term in late}
         joints = range(state.problem.layout.parameters.joints)
         everywhere = tuple(own.get(joint, replace(late[0], joint=joint, shape=(usual,))) for joint in joints)
-        springs = {term.joint for term in terms_of(Law.VIBRATION, steps)}
-        twisted = tuple(JointTerm(Law.INERTIA, joint) for joint in sorted(springs))
-        terms: dict[Law | MotionLaw, tuple[JointTerm, ...]]
-        terms = {Law.LAG: (), Law.INERTIA: twisted, Law.TIME_CONSTANT: everywhere}
+        springs = {term.joint for term in terms_of(JointLaw.VIBRATION, steps)}
+        twisted = tuple(JointTerm(JointLaw.INERTIA, joint) for joint in sorted(springs))
+        terms: dict[JointLaw | MotionLaw, tuple[JointTerm, ...]]
+        terms = {JointLaw.LAG: (), JointLaw.INERTIA: twisted, JointLaw.TIME_CONSTANT: everywhere}
         simple = [replace(step, terms=terms.get(step.law, step.terms)) for step in steps]
         simple = [step for step in simple if step.terms]
         trial, simple = self._settled(self._refitted(state, simple), simple)
         return (trial, simple) if trial.heldout_mm < _AS_WELL * state.heldout_mm else (state, steps)
 
-    def _vibration(self, state: State, steps: list[Step]) -> tuple[State, Step] | None:
+    def _vibration(self, state: State, steps: list[SearchStep]) -> tuple[State, SearchStep] | None:
         """Return the joint vibration that is least likely to be chance; None if there is none."""
-        taken = {term.joint for term in terms_of(Law.VIBRATION, steps)}
+        taken = {term.joint for term in terms_of(JointLaw.VIBRATION, steps)}
         joints = state.problem.layout.parameters.joints
         if len(taken) == joints:
             return None
@@ -317,18 +326,18 @@ class _Search:
         if power < math.log(tried / _CHANCE):
             return None
         self.told(f"vibration of joint {terms[0].joint + 1}")
-        step = Step(Law.VIBRATION, terms, 0.0, 0.0, state.heldout_mm, math.nan)
+        step = SearchStep(JointLaw.VIBRATION, terms, 0.0, 0.0, state.heldout_mm, math.nan)
         trial, (step,) = self._settled(self._extended(state, terms), [step])
         statistic = statistic_of(trial, step.terms)
         log_p = log_chance(statistic, 1, tried)
-        if log_p > math.log(_CHANCE) or not shown(trial, Law.VIBRATION, [step]):
+        if log_p > math.log(_CHANCE) or not shown(trial, JointLaw.VIBRATION, [step]):
             return None
         trial = self._judged(trial)
         if _AS_WELL * trial.heldout_mm > state.heldout_mm:
             return None
         return trial, replace(step, statistic=statistic, log_p=log_p, after_mm=trial.heldout_mm)
 
-    def _settled(self, state: State, steps: list[Step]) -> tuple[State, list[Step]]:
+    def _settled(self, state: State, steps: list[SearchStep]) -> tuple[State, list[SearchStep]]:
         """Repeat the fit with updated shapes of ``steps`` until these settle.
 
         Shapes that the recordings hardly determine may not: the round with the least held-out error counts then, and
@@ -350,14 +359,14 @@ class _Search:
         self.not_fitted.append(f"exact shape of {', '.join(shaped)}")
         return best
 
-    def _without_chance(self, state: State, steps: list[Step]) -> tuple[State, list[Step]]:
+    def _without_chance(self, state: State, steps: list[SearchStep]) -> tuple[State, list[SearchStep]]:
         """Remove laws, and refining parts of laws, that entered early and that chance explains beside all others."""
         for entered in list(steps):  # one by one: each vibrating joint has its own step
             step = entered
-            if step.law is Law.LINE:
+            if step.law is JointLaw.LINE:
                 continue
             parts = [term for term in step.terms if term.refines]
-            if parts and isinstance(step.law, Law) and self._by_chance(state, parts, alternatives(step.law)):
+            if parts and isinstance(step.law, JointLaw) and self._by_chance(state, parts, alternatives(step.law)):
                 step = replace(step, terms=tuple(term for term in step.terms if not term.refines))
                 steps = [step if one is entered else one for one in steps]
                 state = self._refitted(state, steps)
@@ -367,12 +376,12 @@ class _Search:
                 state = self._refitted(state, steps)
         return state, steps
 
-    def _simpler(self, state: State, steps: list[Step]) -> tuple[State, list[Step]]:
+    def _simpler(self, state: State, steps: list[SearchStep]) -> tuple[State, list[SearchStep]]:
         """Simplify lost motion (sudden, without a part that grows with load) and springs (one stiffness) if that fits
         as well: lines and elastic joints look like either before they are part of the fit."""
-        for law in (Law.WINDUP, Law.PLAY, Law.COMPLIANCE):
+        for law in (JointLaw.WINDUP, JointLaw.PLAY, JointLaw.COMPLIANCE):
             kept: list[tuple[JointTerm, ...]] = [tuple(term for term in terms_of(law, steps) if not term.refines)]
-            if law is Law.WINDUP and has(steps, Law.PLAY):
+            if law is JointLaw.WINDUP and has(steps, JointLaw.PLAY):
                 kept.append(())
             for fewer in kept:
                 if len(fewer) == len(terms_of(law, steps)):
@@ -390,7 +399,7 @@ class _Search:
         log_p = log_chance(statistic_of(state, terms), len(tested(terms)), self.alternatives * more)
         return log_p > math.log(_CHANCE)
 
-    def _refitted(self, state: State, steps: Sequence[Step]) -> State:
+    def _refitted(self, state: State, steps: Sequence[SearchStep]) -> State:
         """Fit again with the terms of ``steps``, in that order; new terms start at zero."""
         layout, terms = state.problem.layout, tuple(term for step in steps for term in step.terms)
         problem = state.problem.without_terms().with_terms(terms)
@@ -415,7 +424,7 @@ class _Search:
         mean, precision = problem.mean.copy(), problem.precision.copy()
         own, theirs = (np.diag(one.noise.covariance) for one in (solution, plain.solution))
         for number, term in enumerate(problem.layout.terms, start=size):
-            if term.law is Law.LINE and own[number] < theirs[number]:
+            if term.law is JointLaw.LINE and own[number] < theirs[number]:
                 mean[number] = solution.values[number]
                 precision[number] = 1.0 / own[number]
         if np.array_equal(precision, problem.precision):
@@ -451,7 +460,9 @@ class _Search:
         start = np.insert(state.solution.values, at, [term.start for term in terms])
         return self._state(state.problem.with_terms(terms), start)
 
-    def _law(self, state: State, laws: Sequence[Law | MotionLaw], steps: Sequence[Step]) -> tuple[State, Step] | None:
+    def _law(
+        self, state: State, laws: Sequence[JointLaw | MotionLaw], steps: Sequence[SearchStep]
+    ) -> tuple[State, SearchStep] | None:
         """Return the law of all joints that is least likely chance and lowers the held-out error; None if none."""
         likely = []
         for law in laws:
@@ -465,7 +476,7 @@ class _Search:
                 statistic, trial = max(((statistic_of(one, terms), one) for one in trials), key=lambda each: each[0])
                 log_p = log_chance(statistic, len(terms), chances)
                 if log_p < math.log(_CHANCE):
-                    likely.append((log_p, trial, Step(law, terms, statistic, log_p, state.heldout_mm, math.nan)))
+                    likely.append((log_p, trial, SearchStep(law, terms, statistic, log_p, state.heldout_mm, math.nan)))
         # laws of motion only come last: they absorb the residuals of lost motion and springs
         for _, trial, step in sorted(likely, key=lambda each: (each[2].law in ONLY_MOTION, each[0])):
             judged = self._tried(step.law.value, partial(self._judged, trial))
@@ -477,7 +488,7 @@ class _Search:
         return None
 
     def _terms_to_try(
-        self, state: State, law: Law | MotionLaw, steps: Sequence[Step]
+        self, state: State, law: JointLaw | MotionLaw, steps: Sequence[SearchStep]
     ) -> Iterator[tuple[tuple[JointTerm, ...], int]]:
         """Yield terms with which a law may enter, and the number of alternatives: the plain law, the law with refining
         parts, or these parts beside what entered before."""
@@ -485,14 +496,14 @@ class _Search:
         if plain:
             yield plain, self.alternatives
         refined = any(term.refines for term in terms_of(law, steps))
-        if isinstance(law, Law) and law in REFINED and not refined and (law is Law.PLAY or not plain):
+        if isinstance(law, JointLaw) and law in REFINED and not refined and (law is JointLaw.PLAY or not plain):
             self.told(f"constants of {law.value.replace('_', ' ')}")
             parts = refining_terms(state.problem, state.solution, law)
             yield (*plain, *parts), self.alternatives * alternatives(law)
 
-    def _lines(self, state: State, steps: Sequence[Step]) -> tuple[State, Step] | None:
+    def _lines(self, state: State, steps: Sequence[SearchStep]) -> tuple[State, SearchStep] | None:
         """Add the strongest lines of the residuals, at most one for each joint; None if none is significant."""
-        taken = [(term.joint, term.cycles) for step in steps for term in step.terms if term.law is Law.LINE]
+        taken = [(term.joint, term.cycles) for step in steps for term in step.terms if term.law is JointLaw.LINE]
         if len(taken) >= 2 * _MOST_LINES:
             return None
         joints = range(state.problem.layout.parameters.joints)
@@ -505,7 +516,9 @@ class _Search:
         chosen = [
             (joint, int(np.argmax(power[joint]))) for joint in range(len(power)) if power[joint].max() > threshold
         ]
-        terms = tuple(JointTerm(Law.LINE, joint, cycles, sine) for joint, cycles in chosen for sine in (False, True))
+        terms = tuple(
+            JointTerm(JointLaw.LINE, joint, cycles, sine) for joint, cycles in chosen for sine in (False, True)
+        )
         if not terms:
             return None
         trial = self._extended(state, terms)
@@ -521,7 +534,7 @@ class _Search:
         trial = self._judged(trial)
         if trial.heldout_mm >= state.heldout_mm:
             return None
-        return trial, Step(Law.LINE, kept, statistic, log_p, state.heldout_mm, trial.heldout_mm)
+        return trial, SearchStep(JointLaw.LINE, kept, statistic, log_p, state.heldout_mm, trial.heldout_mm)
 
 
 def _whitened(state: State) -> State:
@@ -535,7 +548,7 @@ def _whitened(state: State) -> State:
 
 
 def _pair(joint: int, cycles: int) -> tuple[JointTerm, JointTerm]:
-    return JointTerm(Law.LINE, joint, cycles, False), JointTerm(Law.LINE, joint, cycles, True)
+    return JointTerm(JointLaw.LINE, joint, cycles, False), JointTerm(JointLaw.LINE, joint, cycles, True)
 
 
 def _sides(joint: int, cycles: int, lines: Sequence[JointTerm]) -> list[JointTerm]:
@@ -555,9 +568,9 @@ def _near(state: State, term: JointTerm, lines: Sequence[JointTerm]) -> list[Joi
     return [line for line in lines if line.joint == term.joint and abs(line.cycles - term.cycles) <= 1.5 * reach]
 
 
-def _recounted(step: Step, better: Mapping[tuple[int, int], int | None]) -> Step:
+def _recounted(step: SearchStep, better: Mapping[tuple[int, int], int | None]) -> SearchStep:
     """Move the lines of a step to other counts; drop lines that were merged into another."""
-    if step.law is not Law.LINE:
+    if step.law is not JointLaw.LINE:
         return step
     counts = [(term.joint, better[term.joint, term.cycles]) for term in step.terms[::2]]
     terms = [term for joint, count in counts if count is not None for term in _pair(joint, count)]
@@ -626,23 +639,23 @@ _OF_ITS_OWN = 9.0
 """Chi-square that a separate constant, or a second knee, must gain at a joint: three standard deviations."""
 _TORQUES = 1000
 """Points of each recording at which torques are computed."""
-REFINED = (Law.PLAY, Law.WINDUP, Law.COMPLIANCE)
+REFINED = (JointLaw.PLAY, JointLaw.WINDUP, JointLaw.COMPLIANCE)
 """Laws with refining parts."""
 
 
-def alternatives(law: Law) -> int:
+def alternatives(law: JointLaw) -> int:
     """Return the number of alternative parts, for the correction of p-values."""
-    return len(_KNEES) ** 2 if law is Law.COMPLIANCE else len(_KINDS) * len(REACHES)
+    return len(_KNEES) ** 2 if law is JointLaw.COMPLIANCE else len(_KINDS) * len(REACHES)
 
 
-def refining_terms(problem: Fittings, solution: Solution, law: Law) -> tuple[JointTerm, ...]:
+def refining_terms(problem: Fittings, solution: Solution, law: JointLaw) -> tuple[JointTerm, ...]:
     """Return the parts of one of the laws ``REFINED`` that remove most from the residuals: for lost motion of one kind
     and with one reach, except at joints that a separate reach fits clearly better; for compliance one or two knees a
     joint."""
-    return _knees(problem, solution) if law is Law.COMPLIANCE else _fading(problem, solution, law)
+    return _knees(problem, solution) if law is JointLaw.COMPLIANCE else _fading(problem, solution, law)
 
 
-def _fading(problem: Fittings, solution: Solution, law: Law) -> tuple[JointTerm, ...]:
+def _fading(problem: Fittings, solution: Solution, law: JointLaw) -> tuple[JointTerm, ...]:
     joints, reaches = range(problem.layout.parameters.joints), range(len(REACHES))
     fading = [replace(kind, reach=reach) for kind in _KINDS for reach in REACHES]
     parts = [JointTerm(law, joint, fading=one) for one in fading for joint in joints]
@@ -685,7 +698,7 @@ def _knees(problem: Fittings, solution: Solution) -> tuple[JointTerm, ...]:
         options = [_one_or_two(grids[0], grids[-1]) for grids in near]
         chosen = _best_shares(problem, solution, largest, options)
     return tuple(
-        JointTerm(Law.COMPLIANCE, joint, knee=Knee(share * torque, constant))
+        JointTerm(JointLaw.COMPLIANCE, joint, knee=Knee(share * torque, constant))
         for joint, (own, torque) in enumerate(zip(chosen, largest.tolist()))
         for constant, share in zip(SOFTER, own)
     )
@@ -702,8 +715,11 @@ def _best_shares(
 ) -> list[tuple[float, ...]]:
     """Choose one option of each joint, joint by joint the one with the largest gain beside those of the others."""
     keys = [(joint, share) for joint, own in enumerate(options) for share in sorted({s for one in own for s in one})]
-    parts = [JointTerm(Law.COMPLIANCE, joint, knee=Knee(share * largest[joint])) for joint, share in keys]
-    gains, place = _gains(problem, solution, Law.COMPLIANCE, parts), {key: number for number, key in enumerate(keys)}
+    parts = [JointTerm(JointLaw.COMPLIANCE, joint, knee=Knee(share * largest[joint])) for joint, share in keys]
+    gains, place = (
+        _gains(problem, solution, JointLaw.COMPLIANCE, parts),
+        {key: number for number, key in enumerate(keys)},
+    )
 
     def gain(chosen: Sequence[tuple[float, ...]]) -> float:
         columns = [place[joint, share] for joint, own in enumerate(chosen) for share in own]
@@ -727,7 +743,7 @@ def _largest_torques(problem: Fittings) -> Array:
 
 
 def _gains(
-    problem: Fittings, solution: Solution, law: Law, parts: Sequence[JointTerm]
+    problem: Fittings, solution: Solution, law: JointLaw, parts: Sequence[JointTerm]
 ) -> Callable[[Sequence[int]], float]:
     """Return what computes the chi-square that chosen ``parts`` remove from the residuals, beside the parameters of a
     fit."""

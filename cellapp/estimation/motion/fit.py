@@ -45,7 +45,7 @@ from cellapp.estimation.calibration.least_squares import (
     solve_psd,
 )
 from cellapp.estimation.calibration.parameters import PriorSpread
-from cellapp.estimation.motion.laws import JointTerm, Law, Masses
+from cellapp.estimation.motion.laws import JointLaw, JointTerm, Masses
 from cellapp.estimation.motion.residuals import (
     Bands,
     Layout,
@@ -552,10 +552,12 @@ def _seen(problem: Fittings, solution: Solution) -> _Seen:
 def _laws(problem: Fittings) -> tuple[JointTerm, ...]:
     """Return the laws of joints that an arm may have and the fit lacks."""
     joints = range(problem.layout.parameters.joints)
-    own = {replace(term, law=Law.LINE) if term.law is Law.ONE_CYCLE else term for term in problem.layout.terms}
-    lines = [JointTerm(Law.LINE, joint, c, sine) for c in _CYCLES for joint in joints for sine in (False, True)]
-    elastic = [JointTerm(Law.COMPLIANCE, joint) for joint in joints if problem.masses is not None]
-    lost = [JointTerm(Law.PLAY, joint) for joint in joints]  # lags the motion, like a delay
+    own = {
+        replace(term, law=JointLaw.LINE) if term.law is JointLaw.ONE_CYCLE else term for term in problem.layout.terms
+    }
+    lines = [JointTerm(JointLaw.LINE, joint, c, sine) for c in _CYCLES for joint in joints for sine in (False, True)]
+    elastic = [JointTerm(JointLaw.COMPLIANCE, joint) for joint in joints if problem.masses is not None]
+    lost = [JointTerm(JointLaw.PLAY, joint) for joint in joints]  # lags the motion, like a delay
     return tuple(term for term in (*lines, *elastic, *lost) if term not in own)
 
 

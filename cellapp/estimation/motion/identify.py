@@ -22,7 +22,7 @@ from cellapp.estimation.calibration.parameters import (
 )
 from cellapp.estimation.calibration.records import ClockResult, ClockSegmentResult, RecordingResult
 from cellapp.estimation.motion.fit import GROSS, Fittings, Solution, allow_for_missing, solve, thinned
-from cellapp.estimation.motion.laws import JointTerm, Law, Masses
+from cellapp.estimation.motion.laws import JointLaw, JointTerm, Masses
 from cellapp.estimation.motion.residuals import Layout, Model, Stops, residuals
 from cellapp.estimation.motion.streams import Recording
 from cellapp.estimation.motion.tracks import Track, track_of
@@ -187,7 +187,7 @@ def motion_problem(arm: RecordedArm, told: Told) -> Fittings:
         masses = replace(masses, geometry=start)
     stated = arm.prior_sigma or {}
     parameters, priors = estimated_parameters(arm.parameter_set, start, stated)
-    terms = tuple(JointTerm(Law.PLAY, joint) for joint in range(start.joints))
+    terms = tuple(JointTerm(JointLaw.PLAY, joint) for joint in range(start.joints))
     layout = Layout(parameters, terms, tuple(len(track.offsets_s) for track in tracks))
     mean, precision = np.zeros(layout.size), np.zeros(layout.size)
     mean[: layout.geometric] = start.vector()[list(parameters.columns)]
@@ -221,7 +221,7 @@ def motion_fit(problem: Fittings, solution: Solution) -> MotionFit:
     }
     play, play_error = np.zeros(layout.parameters.joints), np.full(layout.parameters.joints, np.nan)
     for number, term in enumerate(layout.terms, start=layout.geometric):
-        if term.law is Law.PLAY and term.fading is None:
+        if term.law is JointLaw.PLAY and term.fading is None:
             play[term.joint] = solution.values[number]
             play_error[term.joint] = math.sqrt(noise.covariance[number, number])
     identification = _identification(problem, solution, model)
@@ -294,7 +294,9 @@ def _with_arm(problem: Fittings, values: Array, vector: Array) -> Array:
 def _mean_lag(problem: Fittings, solution: Solution) -> float:
     """Return the mean lag of the joints [s], which is indistinguishable from an offset of the clocks."""
     of_terms = problem.model(solution.values).of_terms
-    lags = [value for term, value in zip(problem.layout.terms, of_terms.tolist(), strict=True) if term.law is Law.LAG]
+    lags = [
+        value for term, value in zip(problem.layout.terms, of_terms.tolist(), strict=True) if term.law is JointLaw.LAG
+    ]
     return float(np.mean(lags)) if lags else 0.0
 
 
@@ -302,7 +304,7 @@ def _clock_fit(problem: Fittings, solution: Solution, number: int) -> ClockResul
     """Return the clocks of one recording; their offset includes the inseparable mean lag of the joints."""
     track, layout = problem.tracks[number], problem.layout
     width, rate = solution.noise.half_width(), layout.rate(number)
-    lags = [place for place, term in enumerate(layout.terms, start=layout.geometric) if term.law is Law.LAG]
+    lags = [place for place, term in enumerate(layout.terms, start=layout.geometric) if term.law is JointLaw.LAG]
 
     def stated(place: int, unit: float) -> tuple[float, float, tuple[float, float]]:
         """Return value, standard error and interval."""

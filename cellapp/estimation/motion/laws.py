@@ -429,7 +429,7 @@ _OWN_INERTIA = 0.02
 """Inertia of a joint's own link about its axis [kg m^2], which point masses on the axis lack."""
 
 
-class Law(Enum):
+class JointLaw(Enum):
     """Law of one joint; the value is the slug of its effect.
 
     Attributes
@@ -472,7 +472,7 @@ class Law(Enum):
     title: str
     only_motion: str
 
-    def __new__(cls, value: str, word: str = "", unit: str = "", sd: float = 0.0, *texts: str) -> Law:
+    def __new__(cls, value: str, word: str = "", unit: str = "", sd: float = 0.0, *texts: str) -> JointLaw:
         made = object.__new__(cls)
         made._value_, made.word, made.unit, made.sd = value, word, unit, sd
         made.title, made.only_motion = texts or ("", "")
@@ -487,10 +487,10 @@ _GAIN_SD, _SHAPE_SD = 1e-3, 0.5
 """Prior standard deviations: of a gain [s^2], that of a spring at 5 Hz; relative ones of frequency and damping."""
 
 
-def of_all_joints(law: Law | MotionLaw, joints: int) -> tuple[JointTerm, ...]:
+def of_all_joints(law: JointLaw | MotionLaw, joints: int) -> tuple[JointTerm, ...]:
     """Return the parameters of a law at all joints, except for lines and shaped laws."""
     names = tuple(law.parameters) if isinstance(law, MotionLaw) else ("",)
-    if law is Law.ONE_CYCLE:
+    if law is JointLaw.ONE_CYCLE:
         return tuple(JointTerm(law, joint, 1, sine) for joint in range(joints) for sine in (False, True))
     return tuple(JointTerm(law, joint, parameter=name) for joint in range(joints) for name in names)
 
@@ -509,7 +509,7 @@ class JointTerm:
     point of linearisation: a time constant [s], or gain [s^2], frequency [Hz] and damping ratio of a vibration.
     ``part`` is the index of the parameter in it."""
 
-    law: Law | MotionLaw
+    law: JointLaw | MotionLaw
     joint: int
     cycles: int = 0
     sine: bool = False
@@ -540,9 +540,9 @@ class JointTerm:
         number = self.joint + 1
         if isinstance(self.law, MotionLaw):
             return f"{self.parameter}{number}"
-        if self.law in (Law.LINE, Law.ONE_CYCLE):
+        if self.law in (JointLaw.LINE, JointLaw.ONE_CYCLE):
             return f"{'sin' if self.sine else 'cos'}{self.cycles}q{number}"
-        if self.law is Law.VIBRATION:
+        if self.law is JointLaw.VIBRATION:
             return f"{_VIBRATION[self.part][0]}{number}"
         word = self.law.word if self.knee is None else SOFTER[self.knee.constant]
         return f"{'fresh_' if self.fading else ''}{word}{number}"
@@ -552,7 +552,7 @@ class JointTerm:
         """Unit of the parameter."""
         if isinstance(self.law, MotionLaw):
             return self.law.parameters[self.parameter].unit
-        return _VIBRATION[self.part][1] if self.law is Law.VIBRATION else self.law.unit
+        return _VIBRATION[self.part][1] if self.law is JointLaw.VIBRATION else self.law.unit
 
     @property
     def start(self) -> float:
@@ -569,30 +569,34 @@ class JointTerm:
         """Standard deviation of its prior."""
         if isinstance(self.law, MotionLaw):
             return self.law.parameters[self.parameter].most
-        if self.law is Law.VIBRATION:
+        if self.law is JointLaw.VIBRATION:
             return _SHAPE_SD * self.start if self.part else _GAIN_SD
         return _SIDE_SD if self.side else self.law.sd
 
     @property
     def needs_torques(self) -> bool:
         """Whether it depends on torques."""
-        return self.law.needs_torques if isinstance(self.law, MotionLaw) else self.law in (Law.WINDUP, Law.COMPLIANCE)
+        return (
+            self.law.needs_torques
+            if isinstance(self.law, MotionLaw)
+            else self.law in (JointLaw.WINDUP, JointLaw.COMPLIANCE)
+        )
 
     def offset(self, state: JointState) -> Array:
         """Return the offset of the joint (n,) per unit of the parameter [rad]."""
         j = self.joint
         if isinstance(self.law, MotionLaw):
             return self.law.offset(self.parameter, j, state.quantity)
-        if self.law in (Law.PLAY, Law.WINDUP):
+        if self.law in (JointLaw.PLAY, JointLaw.WINDUP):
             side = state.direction[:, j] if self.fading is None else state.remaining(j, self.fading)
-            return np.asarray(-side * np.abs(state.torque[:, j]) if self.law is Law.WINDUP else -side)
-        if self.law is Law.LAG:
+            return np.asarray(-side * np.abs(state.torque[:, j]) if self.law is JointLaw.WINDUP else -side)
+        if self.law is JointLaw.LAG:
             return np.asarray(-state.qd[:, j])
-        if self.law is Law.INERTIA:
+        if self.law is JointLaw.INERTIA:
             return np.asarray(-state.qdd[:, j])
-        if self.law in (Law.TIME_CONSTANT, Law.VIBRATION):
+        if self.law in (JointLaw.TIME_CONSTANT, JointLaw.VIBRATION):
             return self._of_course(state)
-        if self.law in (Law.LINE, Law.ONE_CYCLE):
+        if self.law in (JointLaw.LINE, JointLaw.ONE_CYCLE):
             return np.asarray((np.sin if self.sine else np.cos)(self.cycles * state.q[:, j]))
         torque = state.torque[:, j]
         return np.asarray(torque if self.knee is None else np.clip(torque, -self.knee.torque, self.knee.torque))
@@ -600,11 +604,11 @@ class JointTerm:
     def rotated(self, state: JointState, value: float, unit: Array) -> Array:
         """Return the offset of the joint (n,) for a value of the parameter [rad], where ``unit`` (n,) is its
         ``offset``; for shaped terms including the offset at the shape."""
-        if self.law is Law.TIME_CONSTANT and state.course is not None:
+        if self.law is JointLaw.TIME_CONSTANT and state.course is not None:
             path, time_s = state.course
             at_shape = path.even.at(path.even.lagging(self.joint, self.shape[0])[0], time_s)
             return np.asarray(at_shape + (value - self.shape[0]) * unit)
-        if self.law is Law.VIBRATION and self.part:
+        if self.law is JointLaw.VIBRATION and self.part:
             value -= self.shape[self.part]
         return np.asarray(value * unit)
 
@@ -613,7 +617,7 @@ class JointTerm:
         if state.course is None:
             return np.zeros(len(state.q))
         (path, time_s), j = state.course, self.joint
-        if self.law is Law.TIME_CONSTANT:
+        if self.law is JointLaw.TIME_CONSTANT:
             return path.even.at(path.even.lagging(j, self.shape[0])[1], time_s)
         gain, frequency, damping = self.shape
         answer = path.even.at(path.even.of_shape(j, frequency, damping, self.part), time_s)

@@ -15,7 +15,7 @@ from cellapp.estimation.calibration.parameters import ParameterSet
 from cellapp.estimation.discovery.arm_data import whitening
 from cellapp.estimation.discovery.records import BeforeAfter, Evidence
 from cellapp.estimation.motion.fit import Fittings, Solution
-from cellapp.estimation.motion.laws import JointState, JointTerm, Law
+from cellapp.estimation.motion.laws import JointLaw, JointState, JointTerm
 from cellapp.estimation.motion.residuals import residuals
 from cellapp.estimation.motion.tracks import Track
 from cellapp.robot.effects import EFFECTS, EffectTerm, MotionLaw
@@ -28,16 +28,22 @@ SHOWN = 3.5
 """Standard errors at which a joint is reported as having an effect."""
 _AS_WELL = 0.5 * SHOWN
 """Standard errors for a joint beside another one that clearly has the effect."""
-_OF_GEARS = (Law.PLAY, Law.WINDUP, Law.COMPLIANCE)
+_OF_GEARS = (JointLaw.PLAY, JointLaw.WINDUP, JointLaw.COMPLIANCE)
 """Laws that all joints of an arm probably have if one has them."""
-CONFOUNDED = (Law.PLAY, Law.WINDUP)
+CONFOUNDED = (JointLaw.PLAY, JointLaw.WINDUP)
 """Laws that move a joint alike if its load hardly changes."""
 _LEAST = 1e-300
 _LEAST_LOG = math.log(_LEAST)
-_POSITIVE = (Law.COMPLIANCE, Law.INERTIA, Law.TIME_CONSTANT, Law.VIBRATION)
-AT_REST = {Law.PLAY: "constant", Law.WINDUP: "load", Law.LINE: "lines", Law.ONE_CYCLE: "", Law.COMPLIANCE: "linear"}
+_POSITIVE = (JointLaw.COMPLIANCE, JointLaw.INERTIA, JointLaw.TIME_CONSTANT, JointLaw.VIBRATION)
+AT_REST = {
+    JointLaw.PLAY: "constant",
+    JointLaw.WINDUP: "load",
+    JointLaw.LINE: "lines",
+    JointLaw.ONE_CYCLE: "",
+    JointLaw.COMPLIANCE: "linear",
+}
 """Forms of the laws at rest that describe the same effect, without refining parts; a lag has none."""
-ONLY_MOTION = {law for law in Law if law.only_motion}
+ONLY_MOTION = {law for law in JointLaw if law.only_motion}
 """Laws that stops cannot show."""
 _REACHES = {(False, False): REACH, (False, True): BELL, (True, False): LOAD_REACH, (True, True): LOAD_BELL}
 """Constants of laws at rest by (under load, as a bell curve)."""
@@ -102,11 +108,11 @@ class MotionEffect:
 
 
 @dataclass(frozen=True)
-class Step:
+class SearchStep:
     """A step of the search: its terms, chi-square, log probability of as large a value by chance, and held-out errors
     before and after; ``other_log_p`` is the log probability of the best confounded law."""
 
-    law: Law | MotionLaw
+    law: JointLaw | MotionLaw
     terms: tuple[JointTerm, ...]
     statistic: float
     log_p: float
@@ -124,7 +130,7 @@ class State:
     heldout_mm: float
 
 
-def has(steps: Sequence[Step], law: Law | MotionLaw) -> bool:
+def has(steps: Sequence[SearchStep], law: JointLaw | MotionLaw) -> bool:
     """Return whether a law entered; a law of a plug-in with any values of its tuned parameters."""
     return any(step.law.value == law.value for step in steps)
 
@@ -139,9 +145,9 @@ def log_chance(statistic: float, parameters: int, tried: int) -> float:
     return -half + degree * math.log(half) + math.log1p(degree / half) - math.lgamma(degree + 1.0) + math.log(tried)
 
 
-def with_step(steps: Sequence[Step], step: Step) -> list[Step]:
+def with_step(steps: Sequence[SearchStep], step: SearchStep) -> list[SearchStep]:
     """Add a step; further terms of a law that entered before join its step, except for lines and vibrations."""
-    if step.law in (Law.LINE, Law.VIBRATION) or not has(steps, step.law):
+    if step.law in (JointLaw.LINE, JointLaw.VIBRATION) or not has(steps, step.law):
         return [*steps, step]
     return [
         replace(one, terms=one.terms + step.terms, statistic=one.statistic + step.statistic, after_mm=step.after_mm)
@@ -151,7 +157,7 @@ def with_step(steps: Sequence[Step], step: Step) -> list[Step]:
     ]
 
 
-def terms_of(law: Law | MotionLaw, steps: Sequence[Step]) -> tuple[JointTerm, ...]:
+def terms_of(law: JointLaw | MotionLaw, steps: Sequence[SearchStep]) -> tuple[JointTerm, ...]:
     return tuple(term for step in steps if step.law is law for term in step.terms)
 
 
@@ -178,7 +184,7 @@ def started(state: State, terms: Sequence[JointTerm]) -> Array:
     return values
 
 
-def shown(state: State, law: Law | MotionLaw, steps: Sequence[Step]) -> tuple[JointTerm, ...]:
+def shown(state: State, law: JointLaw | MotionLaw, steps: Sequence[SearchStep]) -> tuple[JointTerm, ...]:
     """Return the terms of the joints that show a law; springs of the wrong sign do not count. A refining part counts
     with the plain part of its joint. If one joint shows a law of gears, other joints with the usual sign need half as
     many standard errors: the law is known by then, and commands without these terms would have larger errors."""
@@ -211,7 +217,7 @@ def values_of(state: State, terms: Sequence[JointTerm]) -> tuple[Array, Array]:
     places = places_of(state, terms)
     values = state.solution.values[places]
     covariance = state.solution.noise.covariance[np.ix_(places, places)]
-    if terms[0].law is Law.LAG:
+    if terms[0].law is JointLaw.LAG:
         less_mean = np.eye(len(terms)) - 1.0 / len(terms)
         values, covariance = less_mean @ values, less_mean @ covariance @ less_mean.T
     return values, covariance
@@ -223,20 +229,20 @@ def statistic_of(state: State, terms: Sequence[JointTerm]) -> float:
     return float(values @ np.linalg.pinv(covariance, hermitian=True) @ values)
 
 
-def effects_of(state: State, steps: Sequence[Step]) -> list[tuple[MotionEffect, tuple[JointTerm, ...]]]:
+def effects_of(state: State, steps: Sequence[SearchStep]) -> list[tuple[MotionEffect, tuple[JointTerm, ...]]]:
     """Return the effects of all laws that entered and that some joint shows, with the terms of their parameters.
 
     Two laws with one cause give one effect: play beside wind-up is the dry part of friction; two cycles beside more
     than three times as much of one cycle are of the same disc.
     """
     groups = {law: {law: shown(state, law, steps)} for law in dict.fromkeys(step.law for step in steps)}
-    if groups.get(Law.WINDUP, {}).get(Law.WINDUP) and Law.PLAY in groups:
-        groups[Law.WINDUP].update(groups.pop(Law.PLAY))
-    if Law.ONE_CYCLE in groups and Law.LINE in groups:
-        lines = groups[Law.LINE][Law.LINE]
-        tilted = _of_tilted_discs(state, groups[Law.ONE_CYCLE][Law.ONE_CYCLE], lines)
-        groups[Law.ONE_CYCLE][Law.LINE] = tilted
-        groups[Law.LINE][Law.LINE] = tuple(term for term in lines if term not in tilted)
+    if groups.get(JointLaw.WINDUP, {}).get(JointLaw.WINDUP) and JointLaw.PLAY in groups:
+        groups[JointLaw.WINDUP].update(groups.pop(JointLaw.PLAY))
+    if JointLaw.ONE_CYCLE in groups and JointLaw.LINE in groups:
+        lines = groups[JointLaw.LINE][JointLaw.LINE]
+        tilted = _of_tilted_discs(state, groups[JointLaw.ONE_CYCLE][JointLaw.ONE_CYCLE], lines)
+        groups[JointLaw.ONE_CYCLE][JointLaw.LINE] = tilted
+        groups[JointLaw.LINE][JointLaw.LINE] = tuple(term for term in lines if term not in tilted)
     return [_effect_of(state, group, steps) for group in groups.values() if any(group.values())]
 
 
@@ -250,7 +256,7 @@ def _of_tilted_discs(state: State, one_cycle: Sequence[JointTerm], lines: Sequen
 
 
 def _effect_of(
-    state: State, group: Mapping[Law | MotionLaw, tuple[JointTerm, ...]], steps: Sequence[Step]
+    state: State, group: Mapping[JointLaw | MotionLaw, tuple[JointTerm, ...]], steps: Sequence[SearchStep]
 ) -> tuple[MotionEffect, tuple[JointTerm, ...]]:
     """Return the effect of the first law of a group, to which the other laws belong, and its terms."""
     law, *others = (one for one, its in group.items() if its)
@@ -263,10 +269,10 @@ def _effect_of(
         errors += np.sqrt(np.diag(covariance))[places].tolist()
     own = [step for step in steps if set(step.terms) & set(terms)]
     only = OF_SPEEDS if isinstance(law, MotionLaw) else law.only_motion
-    if law is Law.LINE and all(term.cycles >= DENSE for term in terms):
+    if law is JointLaw.LINE and all(term.cycles >= DENSE for term in terms):
         only = "lines as dense as these are aliased by the few hundred stops of a plan"
     log_p, statistic = min(step.log_p for step in own), sum(step.statistic for step in own)
-    dry = Law.PLAY in others
+    dry = JointLaw.PLAY in others
     effect = MotionEffect(
         slug=law.value,
         names=tuple(term.name.replace("half_play", "dry") if dry else term.name for term in terms),
@@ -292,25 +298,25 @@ def _effect_of(
 def _constants(terms: Sequence[JointTerm]) -> dict[str, float]:
     """Return the constants of the law at rest: reaches of lost motion, knees of springs."""
     reaches = {
-        _REACHES[term.law is Law.WINDUP, term.fading.bell].key(term.joint): term.fading.reach
+        _REACHES[term.law is JointLaw.WINDUP, term.fading.bell].key(term.joint): term.fading.reach
         for term in terms
         if term.fading
     }
     return reaches | {term.knee.constant.key(term.joint): term.knee.torque for term in terms if term.knee}
 
 
-def _form(law: Law | MotionLaw, terms: Sequence[JointTerm], others: Sequence[Law | MotionLaw]) -> str:
+def _form(law: JointLaw | MotionLaw, terms: Sequence[JointTerm], others: Sequence[JointLaw | MotionLaw]) -> str:
     """Return the form of the effect's law that describes the same at stops; empty if there is none."""
     if any(term.fading for term in terms):
         return "gradual"
     if knees := [term.knee for term in terms if term.knee]:
         return "three_slope" if any(knee.constant is SECOND_KNEE for knee in knees) else "two_slope"
     if others:
-        return "both" if Law.PLAY in others else "tilted"
-    return AT_REST.get(law, "") if isinstance(law, Law) else ""
+        return "both" if JointLaw.PLAY in others else "tilted"
+    return AT_REST.get(law, "") if isinstance(law, JointLaw) else ""
 
 
-def beside_others(state: State, step: Step) -> Step:
+def beside_others(state: State, step: SearchStep) -> SearchStep:
     """Return the step with the evidence of its terms beside all others. It may be larger than when the step entered:
     until then, effects of the others counted as noise."""
     parameters = len(tested(step.terms))
@@ -319,12 +325,12 @@ def beside_others(state: State, step: Step) -> Step:
     return replace(step, statistic=statistic, log_p=min(step.log_p + more, 0.0), other_log_p=step.other_log_p + more)
 
 
-def is_improbable(state: State, step: Step) -> bool:
+def is_improbable(state: State, step: SearchStep) -> bool:
     """Return whether a step is more probably absent than present."""
     return _probability(state, step.statistic, len(tested(step.terms)), step.log_p) < 0.5
 
 
-def _odds(steps: Sequence[Step], law: Law | MotionLaw) -> float:
+def _odds(steps: Sequence[SearchStep], law: JointLaw | MotionLaw) -> float:
     """Return the probability of a law against the one confounded with it, at even prior odds, by the evidence of
     either; 1 if both entered or none is confounded."""
     if law not in CONFOUNDED or all(has(steps, one) for one in CONFOUNDED):
@@ -356,16 +362,16 @@ _DAMPING = 0.06
 _CHUNK = 4096
 _SAME = 1e-3
 """Relative change of a shape below which it has settled."""
-_REACH: Mapping[Law | MotionLaw, tuple[tuple[float, float], ...]] = {
-    Law.TIME_CONSTANT: ((1e-3, 0.3),),
-    Law.VIBRATION: ((1e-7, 1.0), (1.0, 60.0), (3e-3, 0.7)),
+_REACH: Mapping[JointLaw | MotionLaw, tuple[tuple[float, float], ...]] = {
+    JointLaw.TIME_CONSTANT: ((1e-3, 0.3),),
+    JointLaw.VIBRATION: ((1e-7, 1.0), (1.0, 60.0), (3e-3, 0.7)),
 }
 """Bounds of the shapes: time constant [s]; gain [s^2], frequency [Hz], damping."""
 
 
 def vibration(joint: int, shape: tuple[float, ...]) -> tuple[JointTerm, ...]:
     """Return the terms of a vibration of a joint (from 0): gain [s^2], frequency [Hz], damping ratio."""
-    return tuple(JointTerm(Law.VIBRATION, joint, shape=shape, part=part) for part in range(3))
+    return tuple(JointTerm(JointLaw.VIBRATION, joint, shape=shape, part=part) for part in range(3))
 
 
 def reshaped(terms: Sequence[JointTerm], values: Sequence[float]) -> tuple[JointTerm, ...]:
@@ -453,11 +459,11 @@ def lagging_joints(terms: Sequence[JointTerm], values: Array, errors: Array, sho
 
     A lag of time constant T adds ``T^2 qdd / 2`` to a delay.
 
-    ``terms`` are the terms of ``Law.INERTIA`` with their values [s^2] and standard errors (N,).
+    ``terms`` are the terms of ``JointLaw.INERTIA`` with their values [s^2] and standard errors (N,).
     """
     which: NDArray[np.intp] = np.flatnonzero(values < -shown * errors)
     return tuple(
-        JointTerm(Law.TIME_CONSTANT, terms[place].joint, shape=(math.sqrt(-2.0 * float(values[place])),))
+        JointTerm(JointLaw.TIME_CONSTANT, terms[place].joint, shape=(math.sqrt(-2.0 * float(values[place])),))
         for place in which
     )
 
@@ -470,7 +476,7 @@ def lagging_joints(terms: Sequence[JointTerm], values: Array, errors: Array, sho
 
 _CYCLES = (2, 40)
 """Cycles of the lines that sweeps are to show: slow ones of eccentric parts, dense ones of gears."""
-_PLAIN = (Law.PLAY, Law.WINDUP, Law.LAG, Law.COMPLIANCE)
+_PLAIN = (JointLaw.PLAY, JointLaw.WINDUP, JointLaw.LAG, JointLaw.COMPLIANCE)
 """Laws with one parameter a joint that sweeps are to show."""
 
 
@@ -478,7 +484,7 @@ def foreseen_terms(joints: int) -> tuple[JointTerm, ...]:
     """Return the terms of all joints, law by law, that sweeps are to show."""
     plain = [JointTerm(law, joint) for law in _PLAIN for joint in range(joints)]
     lines = product(_CYCLES, range(joints), (False, True))
-    return (*plain, *(JointTerm(Law.LINE, joint, cycles, sine) for cycles, joint, sine in lines))
+    return (*plain, *(JointTerm(JointLaw.LINE, joint, cycles, sine) for cycles, joint, sine in lines))
 
 
 def motion_information(

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 Ask = Callable[[str], bool]
 """Function that shows a person the first motion in words and returns whether it is allowed."""
-Work = Callable[[JobControl, Ask], "Result | None"]
+JobWork = Callable[[JobControl, Ask], "Result | None"]
 """A verb with its inputs bound; it runs in the job's thread."""
 M = TypeVar("M", bound=Message)
 
@@ -59,7 +59,7 @@ class Job:
     """
 
     name: str
-    work: Work
+    work: JobWork
     folder: Path | None = None
     moves: bool = False
     process: int | None = None

@@ -19,7 +19,7 @@ from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.discover.run import discover_result
 from cellapp.commands.run_results import read_results
 from cellapp.commands.stages import CALIBRATION_FILE
-from cellapp.commands.trials.blind import Noise, blind_readings, with_hidden
+from cellapp.commands.trials.blind import TrialNoise, blind_readings, with_hidden
 from cellapp.estimation.calibration.calibrate import calibrate_arm
 from cellapp.estimation.calibration.quantities import ArmReadings, measured_quantities, measurement_conditions
 from cellapp.estimation.discovery import discover, prior_fit
@@ -203,7 +203,9 @@ def test_every_effect_with_a_visible_size_is_named(plan, slug):
     assert "readings searched" in found.result.steps[0].what, "it is not the geometry that was calibrated"
 
 
-@pytest.mark.parametrize("noise", [Noise("heavy"), Noise(repeatability=8e-6)], ids=["heavy tails", "repeatability"])
+@pytest.mark.parametrize(
+    "noise", [TrialNoise("heavy"), TrialNoise(repeatability=8e-6)], ids=["heavy tails", "repeatability"]
+)
 def test_noise_other_than_stated_is_not_named_as_an_effect(plan, noise):
     found = blind(plan, {}, 31, noise)
     assert names(found) == set()
