@@ -590,6 +590,11 @@ class CellApp(JobKeys):
         self._draw_message()
         self.refresh_bindings()
 
+    def refresh_bindings(self) -> None:
+        """Offer the keys anew, while there is a screen: what was read as the application ended has none any more."""
+        if self.screen_stack:
+            super().refresh_bindings()
+
     def draw_all(self) -> None:
         """Redraw the current screen completely."""
         with contextlib.suppress(NoMatches, StopIteration):  # no screen is mounted yet, or screens are being removed

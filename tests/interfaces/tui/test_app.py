@@ -100,6 +100,7 @@ async def test_a_job_that_does_not_stop_cannot_hold_the_program() -> None:
         await pilot.press("q", "y")
         await until(pilot, lambda: app.return_code is not None, "the end of the application")
     assert app.return_code == 3
+    app.draw_all()  # what is read so late has no screen any more
     assert held.thread is not None
     assert held.thread.daemon
     held.go_on.set()
