@@ -391,3 +391,13 @@ def test_a_verb_is_known_to_no_interface_and_a_screen_to_the_list_of_screens_alo
     for entry in SCREENS:
         naming = {one for one, text in texts.items() if re.search(rf"\b{entry.class_name}\b", text)}
         assert naming == {f"{screens}/{entry.step}.py", f"{screens}/__init__.py"}, entry.class_name
+
+
+@pytest.mark.parametrize("group", sorted(set(GROUPS) - {"commands"}))
+def test_the_drawing_of_the_house_shows_the_rooms_that_stand(group: str) -> None:
+    chapter = (ROOT / "cellapp/docs/architecture.md").read_text("utf-8")
+    line = next(line for line in chapter.splitlines() if re.match(f"{group} {{3}}", line))
+    drawn = set(re.split(r" {4,}|  --->", line[13:])[0].split())
+    stand = {path.parent.name for path in (ROOT / "cellapp" / group).glob("*/__init__.py")}
+    modules = {path.stem for path in (ROOT / "cellapp" / group).glob("*.py")}
+    assert stand <= drawn <= stand | modules
