@@ -28,7 +28,6 @@ from drivers.trackers.bridge_wire import BadField, Fields, Garbled, WireLine, re
 from drivers.trackers.protocol import (
     Halted,
     NotReady,
-    Packet,
     Point,
     Preparation,
     StreamLimits,
@@ -569,11 +568,11 @@ class _Running:
     id: str
     interval_s: float
     lost: Callable[[TrackerError], None]
-    received: Callable[[Packet], None]
+    received: Callable[[Track], None]
     next: int = 0
     on: bool = True
     heard_s: float = field(default_factory=time.monotonic)
-    packets: list[Packet] = field(default_factory=list)
+    packets: list[Track] = field(default_factory=list)
 
     @property
     def wanted(self) -> dict[str, str]:
@@ -607,7 +606,7 @@ class StreamingBridgeTracker(BridgeTracker):
         expected_M: NDArray[np.float64],
         interval_s: float,
         lost: Callable[[TrackerError], None],
-        received: Callable[[Packet], None] = no_packet,
+        received: Callable[[Track], None] = no_packet,
     ) -> None:
         """Make the tracker lock and follow the SMR; ``confirm`` fetches its points."""
         limits = self.stream_limits()

@@ -25,7 +25,6 @@ from drivers.trackers.protocol import (
     ACCURACIES,
     Halted,
     NotReady,
-    Packet,
     Point,
     Preparation,
     StreamLimits,
@@ -341,7 +340,7 @@ def _point(stamp_s: float, p_M: NDArray[np.float64], sigma_m: float) -> str:
     return f"{stamp_s:.7f},{p_M[0]:.8f},{p_M[1]:.8f},{p_M[2]:.8f},{sigma}"
 
 
-def read_packet(fields: Fields, now_s: float) -> tuple[Packet, int]:
+def read_packet(fields: Fields, now_s: float) -> tuple[Track, int]:
     """Read an answer to ``points`` that came at ``now_s``: a packet, and how many points wait. Raises ``BadField``."""
     listed = fields.get("points", "")
     found = [_POINT.fullmatch(part) for part in listed.split(";")] if listed else []
@@ -354,7 +353,7 @@ def read_packet(fields: Fields, now_s: float) -> tuple[Packet, int]:
     rows = rows.reshape(-1, 5)
     age_s = read_number(fields, "age", 0.0, 1e6) if len(rows) else 0.0
     waiting = int(read_number(fields, "waiting", 0, 10 * MOST_WAITING))
-    return Packet(rows[:, 0], rows[:, 1:4], rows[:, 4], now_s - age_s), waiting
+    return Track(rows[:, 0], rows[:, 1:4], rows[:, 4], np.full(len(rows), now_s - age_s)), waiting
 
 
 @dataclass(frozen=True)
@@ -381,7 +380,7 @@ class TrackBuffer:
         self._last_stamp_s = -math.inf
         self._lost: TrackerError | None = None
 
-    def received(self, packet: Packet) -> None:
+    def received(self, packet: Track) -> None:
         """Buffer a packet of the tracker."""
         if len(packet.device_time_s) and packet.device_time_s[0] <= self._last_stamp_s:
             return  # it was on its way when the track was ended
@@ -404,8 +403,7 @@ class TrackBuffer:
 
     def ended(self, track: Track) -> None:
         """Buffer the points of a finished track that did not arrive as packets."""
-        rest = track.within(track.device_time_s > self._last_stamp_s)
-        self.received(Packet(rest.device_time_s, rest.p_M, rest.sigma_m, 0.0))
+        self.received(track.within(track.device_time_s > self._last_stamp_s))
 
     def fields(self, number: int) -> dict[str, str]:
         """Return the answer to ``points from=number``. Raises ``BadField`` for a line that is no longer buffered."""

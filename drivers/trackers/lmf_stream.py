@@ -22,7 +22,6 @@ from drivers.trackers.lmf import LmfTracker, Vector
 from drivers.trackers.lmf_objects import Handlers, describe, set_quantity, set_value, to_si, tracker_time_s, unwrap
 from drivers.trackers.protocol import (
     PACKETS_HZ,
-    Packet,
     Point,
     Preparation,
     StreamLimits,
@@ -55,7 +54,7 @@ class LmfStreamTracker(LmfTracker):
         expected_M: Vector,
         interval_s: float,
         lost: Callable[[TrackerError], None],
-        received: Callable[[Packet], None] = no_packet,
+        received: Callable[[Track], None] = no_packet,
     ) -> None:
         """Lock the SMR, select the continuous measurement and start it."""
         LIMITS.check(interval_s)
@@ -126,7 +125,7 @@ class LmfStreamTracker(LmfTracker):
 
     # -- on the thread that reads packets ------------------------------------------------------------------------------
 
-    def _packet(self, points: Any, arrived_s: float) -> Packet:
+    def _packet(self, points: Any, arrived_s: float) -> Track:
         """Convert a packet of LMF. Raises ``TrackerError``."""
         stamps, places = [], []
         with self._translating_errors("reading points"):
@@ -139,7 +138,7 @@ class LmfStreamTracker(LmfTracker):
         known = np.isfinite(time_s) & np.isfinite(p_M).all(axis=1)
         p_M, time_s = p_M[known], time_s[known]
         sigma_m = np.array([math.sqrt(np.trace(self._law.covariance(p)) / 3.0) for p in p_M], dtype=np.float64)
-        return Packet(time_s, p_M, sigma_m, arrived_s)
+        return Track(time_s, p_M, sigma_m, np.full(len(p_M), arrived_s))
 
 
 class _Following:
@@ -147,13 +146,13 @@ class _Following:
 
     def __init__(
         self,
-        read: Callable[[Any, float], Packet],
+        read: Callable[[Any, float], Track],
         lost: Callable[[TrackerError], None],
-        received: Callable[[Packet], None],
+        received: Callable[[Track], None],
     ) -> None:
         self._read, self._lost, self._received = read, lost, received
         self._queue: queue.SimpleQueue[tuple[Any, float] | None] = queue.SimpleQueue()
-        self._packets: list[Packet] = []
+        self._packets: list[Track] = []
         self._over = False
         self.handlers = Handlers(
             ("Measurement", "MeasurementArrived", self._arrived), ("Targets", "SelectedChanged", self._selected)
@@ -161,7 +160,7 @@ class _Following:
         self._thread = threading.Thread(target=self._work, name="LMF points", daemon=True)
         self._thread.start()
 
-    def end(self) -> list[Packet]:
+    def end(self) -> list[Track]:
         """Read all stored events and return all packets."""
         self._queue.put(None)
         self._thread.join(_ENDS_WITHIN_S)

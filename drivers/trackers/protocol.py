@@ -217,30 +217,8 @@ class StreamLimits:
 
 
 @dataclass(frozen=True, eq=False)
-class Packet:
-    """Points that arrived together.
-
-    Attributes
-    ----------
-    device_time_s : array, shape (n,)
-        Their timestamps on the tracker's own clock [s].
-    p_M : array, shape (n, 3)
-        SMR centres [m].
-    sigma_m : array, shape (n,)
-        Standard uncertainty of one coordinate of each point [m]; NaN if not known.
-    arrived_s : float
-        When they arrived, on the cell's clock [s]: late by up to about 40 ms.
-    """
-
-    device_time_s: NDArray[np.float64]
-    p_M: NDArray[np.float64]
-    sigma_m: NDArray[np.float64]
-    arrived_s: float
-
-
-@dataclass(frozen=True, eq=False)
 class Track:
-    """Points of a moving SMR, measured continuously.
+    """Points of a moving SMR, measured continuously: all of them, or those of one packet.
 
     Attributes
     ----------
@@ -251,7 +229,7 @@ class Track:
     sigma_m : array, shape (n,)
         Standard uncertainty of one coordinate of each point [m]; NaN if not known.
     arrived_s : array, shape (n,)
-        When the packet of each point arrived, on the cell's clock [s].
+        When the packet of each point arrived, on the cell's clock [s]: late by up to about 40 ms.
     """
 
     device_time_s: NDArray[np.float64]
@@ -260,14 +238,13 @@ class Track:
     arrived_s: NDArray[np.float64]
 
     @classmethod
-    def of(cls, packets: Sequence[Packet]) -> Self:
+    def of(cls, packets: Sequence[Track]) -> Self:
         """Join all points of ``packets``, which are in order."""
-        counts = [len(packet.device_time_s) for packet in packets]
         return cls(
             np.concatenate([np.empty(0), *(packet.device_time_s for packet in packets)]),
             np.concatenate([np.empty((0, 3)), *(packet.p_M for packet in packets)]),
             np.concatenate([np.empty(0), *(packet.sigma_m for packet in packets)]),
-            np.repeat([packet.arrived_s for packet in packets], counts).astype(np.float64),
+            np.concatenate([np.empty(0), *(packet.arrived_s for packet in packets)]),
         )
 
     @property
@@ -291,7 +268,7 @@ class Track:
         return int(np.maximum(steps - 1.0, 0.0).sum())
 
 
-def no_packet(packet: Packet) -> None:
+def no_packet(packet: Track) -> None:
     """Ignore a packet; the default for callers that use the whole track only."""
 
 
@@ -307,7 +284,7 @@ class StreamingTracker(Protocol):
         expected_M: NDArray[np.float64],
         interval_s: float,
         lost: Callable[[TrackerError], None],
-        received: Callable[[Packet], None] = no_packet,
+        received: Callable[[Track], None] = no_packet,
     ) -> None:
         """Lock the SMR at ``expected_M`` (3,) [m], at rest, and measure it every ``interval_s`` [s] from now on.
 

@@ -21,7 +21,6 @@ from drivers.trackers.imperfections import PERFECT, Imperfections, refractivity
 from drivers.trackers.protocol import (
     PACKETS_HZ,
     Halted,
-    Packet,
     Point,
     Preparation,
     StreamLimits,
@@ -258,7 +257,7 @@ class SimulatedTracker:
         expected_M: Vector,
         interval_s: float,
         lost: Callable[[TrackerError], None],
-        received: Callable[[Packet], None] = no_packet,
+        received: Callable[[Track], None] = no_packet,
     ) -> None:
         """Lock the SMR and measure it every ``interval_s``, while other calls advance the plant's time."""
         STREAM_LIMITS.check(interval_s)
@@ -531,7 +530,7 @@ class SimulatedStream:
         locked: TrueSmr,
         interval_s: float,
         lost: Callable[[TrackerError], None],
-        received: Callable[[Packet], None],
+        received: Callable[[Track], None],
     ) -> None:
         self._tracker, self._locked, self._interval_s = tracker, locked, interval_s
         self._plant, self._errors, self._rng = tracker.plant, tracker.errors, tracker.dynamic
@@ -539,7 +538,7 @@ class SimulatedStream:
         self._began_s = self._plant.clock_s
         self._packet_s = max(interval_s, 1.0 / PACKETS_HZ)
         self._taken = 0
-        self._packets: list[Packet] = []
+        self._packets: list[Track] = []
         self._arrived_s = -math.inf
         self._on = True
 
@@ -575,7 +574,7 @@ class SimulatedStream:
         if len(time_s):
             moving = float(np.ptp(true_M, axis=0).max()) > _STILL_M
             p_M, sigma_m = self._tracker.points(true_M[: len(time_s)], moving=moving)
-            self._go(Packet(self._errors.own_time_s(time_s), p_M, sigma_m, math.nan))
+            self._go(self._errors.own_time_s(time_s), p_M, sigma_m)
         return True
 
     def _broken(self, p_M: Vector, normal_M: Vector, *, may_break: bool) -> str:
@@ -585,11 +584,11 @@ class SimulatedStream:
             "something crossed it" if may_break and self._rng.random() < often else ""
         )
 
-    def _go(self, packet: Packet) -> None:
-        """Deliver a packet, delayed by the receiving computer's random delay."""
+    def _go(self, own_s: Vector, p_M: Vector, sigma_m: Vector) -> None:
+        """Deliver points as a packet, delayed by the receiving computer's random delay."""
         late_s = self._rng.uniform(0.0, self._errors.packet_jitter_s)
         self._arrived_s = max(self._arrived_s, self._plant.clock_s + late_s)
-        packet = replace(packet, arrived_s=self._arrived_s)
+        packet = Track(own_s, p_M, sigma_m, np.full(len(own_s), self._arrived_s))
         self._packets.append(packet)
         if late_s:
             self._plant.schedule.at(self._arrived_s, lambda: self._received(packet))

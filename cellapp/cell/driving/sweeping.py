@@ -56,7 +56,6 @@ from drivers.arms.recording import JointRecord, RecordingArm, counts_so_far
 from drivers.clock import Clock
 from drivers.plant.sweep import SweepRecord
 from drivers.trackers.protocol import (
-    Packet,
     StreamingTracker,
     TargetLost,
     Track,
@@ -102,13 +101,13 @@ class LiveSweep:
     so_far: SweepLive
     interval_s: float
     tell: Callable[[SweepLive], None]
-    _packets: deque[Packet] = field(default_factory=deque)
+    _packets: deque[Track] = field(default_factory=deque)
     _part: _Part | None = None
     _ended: NDArray[np.intp] = field(default_factory=lambda: np.zeros(len(_COUNTED), np.intp))
     """Counts of the parts that have ended."""
     _arrived_s: float | None = None
 
-    def received(self, packet: Packet) -> None:
+    def received(self, packet: Track) -> None:
         """Queue a packet for the job's thread."""
         self._packets.append(packet)
 
@@ -167,7 +166,7 @@ class LiveSweep:
             if not part.points:
                 part.first_s = float(packet.device_time_s[0])
             part.points, part.latest_s = part.points + len(packet.p_M), float(packet.device_time_s[-1])
-            self._arrived_s = packet.arrived_s
+            self._arrived_s = float(packet.arrived_s[-1])
             self._follow(packet.p_M)
 
     def _follow(self, p_M: Array) -> None:
@@ -191,18 +190,18 @@ class Beam:
 
     Attributes
     ----------
-    first : Packet or None
+    first : Track or None
         First packet with a point.
     error : TrackerError or None
         Why the track ended: ``TargetLost`` if the beam broke, else the tracker died.
     """
 
     def __init__(self, moving: Sequence[PathFollower], reaction: StopReaction) -> None:
-        self.first: Packet | None = None
+        self.first: Track | None = None
         self.error: TrackerError | None = None
         self._moving, self._reaction = moving, reaction
 
-    def received(self, packet: Packet) -> None:
+    def received(self, packet: Track) -> None:
         """Store the first packet with a point."""
         if self.first is None and len(packet.p_M):
             self.first = packet
@@ -363,7 +362,7 @@ class SweepDriver:
         assert streaming is not None
         beam, recorded = Beam([*arms.values()], self.reaction), dict[str, RecordingArm]()
 
-        def received(packet: Packet) -> None:
+        def received(packet: Track) -> None:
             beam.received(packet)
             live.received(packet)
 

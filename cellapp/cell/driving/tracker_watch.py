@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from drivers.trackers.protocol import (
     NotReady,
-    Packet,
     Point,
     Preparation,
     StreamingTracker,
@@ -202,7 +201,7 @@ class StreamingTrackerMonitor(TrackerMonitor):
         expected_M: NDArray[np.float64],
         interval_s: float,
         lost: Callable[[TrackerError], None],
-        received: Callable[[Packet], None] = no_packet,
+        received: Callable[[Track], None] = no_packet,
     ) -> None:
         """Call the tracker's ``start_track``."""
         self._alone(self._streaming.start_track, expected_M, interval_s, lost, received)

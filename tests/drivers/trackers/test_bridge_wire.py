@@ -30,10 +30,10 @@ from drivers.trackers.imperfections import Imperfections
 from drivers.trackers.protocol import (
     Halted,
     NotReady,
-    Packet,
     Point,
     Preparation,
     TargetLost,
+    Track,
     TrackerError,
     TrackerLinkLost,
     TrackerRefused,
@@ -273,7 +273,7 @@ def asked(tracker: StreamingBridgeTracker) -> None:
 def test_all_points_come_in_order_with_the_stamps_of_the_tracker(make_plant: Any, kind: str) -> None:
     with bridged(make_plant, kind=kind) as (plant, _, tracker):
         assert stream_of(tracker) is not None
-        seen: list[Packet] = []
+        seen: list[Track] = []
         lost: list[TrackerError] = []
         tracker.start_track(NEST, INTERVAL_S, lost.append, seen.append)
         began_s = plant.clock_s

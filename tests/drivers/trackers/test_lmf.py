@@ -21,9 +21,9 @@ from drivers.trackers.lmf_stream import LmfStreamTracker
 from drivers.trackers.protocol import (
     Halted,
     NotReady,
-    Packet,
     Preparation,
     TargetLost,
+    Track,
     TrackerError,
     TrackerLinkLost,
     TrackerRefused,
@@ -522,7 +522,7 @@ def test_points_come_in_packets_with_the_controllers_stamps(
 ) -> None:
     driver = tracker()
     assert stream_of(driver) is driver
-    seen: list[Packet] = []
+    seen: list[Track] = []
     lost: list[TrackerError] = []
     driver.start_track(LEFT, interval_s, lost.append, seen.append)
     profile = measurement(scene).Profiles.Selected

@@ -13,9 +13,9 @@ from drivers.trackers.imperfections import Imperfections, refractivity
 from drivers.trackers.protocol import (
     PACKETS_HZ,
     NotReady,
-    Packet,
     Preparation,
     TargetLost,
+    Track,
     TrackerError,
     TrackerLinkLost,
     Unstable,
@@ -283,7 +283,7 @@ def swung(plant, errors=CLOCK, there_s=2.0):
     tracker, arm = SimulatedTracker(plant, errors), SimulatedArm(plant, "left")
     tracker.connect()
     arm.connect()
-    packets: list[Packet] = []
+    packets: list[Track] = []
     lost: list[TrackerError] = []
     tracker.start_track(plant.targets()[0].p_M, INTERVAL_S, lost.append, packets.append)
     x = np.linspace(0.0, 1.0, round(there_s / CYCLE_S) + 1)[:, None]
