@@ -151,8 +151,38 @@ class _NotPrepared(Exception):
     """The bridge requires that this client prepares the tracker first."""
 
 
+_SILENT_S = 1.0
+"""A track is dead if no point arrives for this long and for ten point intervals."""
+_AT_ONCE_S = 0.15
+"""Longest time of fetching points in one go, as other commands may be waiting."""
+_REST_WITHIN_S = 60.0
+"""Time limit for fetching the remaining points of a finished track, over a slow line."""
+
+
+@dataclass
+class _Running:
+    """The client's state of a track."""
+
+    id: str
+    interval_s: float
+    lost: Callable[[TrackerError], None]
+    received: Callable[[Track], None]
+    next: int = 0
+    on: bool = True
+    heard_s: float = field(default_factory=time.monotonic)
+    packets: list[Track] = field(default_factory=list)
+
+    @property
+    def wanted(self) -> dict[str, str]:
+        """Fields of the request for the next points."""
+        return {"track": self.id, "from": str(self.next)}
+
+
 class BridgeTracker:
-    """A tracker behind a bridge. Calls come one at a time; ``halt`` and ``data_age_s`` may be called at any time."""
+    """A tracker behind a bridge, which reports whether it can stream.
+
+    Calls come one at a time; ``halt`` and ``data_age_s`` may be called at any time.
+    """
 
     def __init__(
         self,
@@ -186,6 +216,10 @@ class BridgeTracker:
         """Whether the bridge knows the command ``confirm``."""
         self._sign_s = -math.inf
         """Time of the tracker's last sign of life on the monotonic clock [s]."""
+        self._limits: StreamLimits | None = None
+        self._asked = False
+        """Whether the bridge was asked for its stream limits since ``connect``."""
+        self._track: _Running | None = None
         self._longest_s = 60.0
         self._writing = threading.Lock()
         self._halting = threading.Event()
@@ -201,6 +235,7 @@ class BridgeTracker:
         """
         self._close()
         self._halting.clear()
+        self._limits, self._asked, self._track = None, False, None
         try:
             self._establish(time.monotonic() + 2.0 * self._timeout_s)
             if self._settings is not None:
@@ -255,8 +290,17 @@ class BridgeTracker:
         raise self._link_lost(problem) from problem
 
     def _ask(self, within_s: float, until_s: float) -> None:
-        """Ask the tracker once for a sign of life."""
-        if self._confirms:
+        """Ask the tracker once for a sign of life; during a track fetch its points, which are one."""
+        track = self._track
+        if track is not None and track.on:
+            with _known(track):
+                self._fetch(track, until_s, min(until_s, time.monotonic() + _AT_ONCE_S))
+            silent_s = time.monotonic() - track.heard_s
+            if track.on and silent_s > max(_SILENT_S, 10.0 * track.interval_s):
+                raise TrackerLinkLost(
+                    f"tracker bridge {self._url}: no point of the moving SMR came for {silent_s:.1f} s"
+                )
+        elif self._confirms:
             self._exchange("confirm", {"within": wire.number(within_s)}, until_s)
         else:
             self._exchange("unmet", {}, until_s)
@@ -272,7 +316,7 @@ class BridgeTracker:
     def measure(self, expected_M: NDArray[np.float64], averaging_s: float) -> Point:
         """Measure the SMR at ``expected_M`` (3,) [m]. Raises the errors of ``Tracker.measure``."""
         self._halting.clear()
-        return self._read(wire.read_point, self._command("measure", _measure_fields(expected_M, averaging_s)))
+        return self._read(wire.read_point, self._command("measure", _smr_fields(expected_M, "averaging", averaging_s)))
 
     def halt(self) -> None:
         """End the running command, which then raises ``Halted``; harmless when none runs. From any thread."""
@@ -286,6 +330,72 @@ class BridgeTracker:
             with contextlib.suppress(LinkFault, _Busy, TrackerError):  # the bridge also releases a silent client
                 self._exchange("bye", {}, time.monotonic() + min(self._timeout_s, 1.0))
         self._close()
+
+    # -- a moving SMR: the bridge keeps its points until they are fetched, so a link that breaks for a moment loses none -
+
+    def stream_limits(self) -> StreamLimits | None:
+        """Return what the tracker behind the bridge can stream; None also if the bridge does not know streams."""
+        if not self._asked:
+            with contextlib.suppress(UnknownCommand):
+                self._limits = self._read(read_limits, self._command("stream-limits"))
+            self._asked = True
+        return self._limits
+
+    def start_track(
+        self,
+        expected_M: NDArray[np.float64],
+        interval_s: float,
+        lost: Callable[[TrackerError], None],
+        received: Callable[[Track], None] = no_packet,
+    ) -> None:
+        """Make the tracker lock and follow the SMR; ``confirm`` fetches its points."""
+        limits = self.stream_limits()
+        if limits is None:
+            raise TrackerError(f"tracker bridge {self._url}: its tracker does not measure an SMR while it moves")
+        limits.check(interval_s)
+        fields = _smr_fields(expected_M, "interval", interval_s)
+        self._halting.clear()
+        self._command("track", fields)
+        self._track = _Running(fields["id"], interval_s, lost, received)
+
+    def end_track(self) -> Track:
+        """End the track, fetch the buffered points and return all points."""
+        track, self._track = self._track, None
+        if track is None:
+            return Track.of([])
+        with _known(track):
+            self._command("end-track", {"track": track.id})
+            track.lost = _nobody
+            until_s = time.monotonic() + _REST_WITHIN_S
+            while self._take(track, self._command("points", track.wanted)):
+                if time.monotonic() > until_s:
+                    raise TrackerLinkLost(
+                        f"tracker bridge {self._url}: its points did not come within {_REST_WITHIN_S:g} s"
+                    )
+        return Track.of(track.packets)
+
+    def _fetch(self, track: _Running, until_s: float, enough_s: float) -> None:
+        """Fetch buffered points, at least one answer, until ``enough_s``."""
+        while True:
+            if not self._take(track, self._exchange("points", track.wanted, until_s)) or time.monotonic() > enough_s:
+                return
+
+    def _take(self, track: _Running, answer: Fields) -> bool:
+        """Store the points of an answer and call the listeners; return whether there may be more."""
+        now_s = time.monotonic()
+        packet, waiting = self._read(lambda fields: read_packet(fields, now_s), answer)
+        track.next = int(
+            self._read(lambda fields: wire.read_number(fields, "next", track.next, track.next + 1), answer)
+        )
+        if len(packet.device_time_s):
+            track.heard_s = now_s
+            self._sign_of_life({})
+            track.packets.append(packet)
+            track.received(packet)
+        if kind := answer.get("lost.kind", ""):
+            track.on = False
+            track.lost(wire.ERRORS.get(kind, TrackerError)(answer.get("lost.text", "the track has ended")))
+        return waiting > 0
 
     # -- commands, repeated after a link fault -------------------------------------------------------------------------
 
@@ -541,134 +651,13 @@ class BridgeTracker:
             shut_down(port)
 
 
-def _measure_fields(expected_M: NDArray[np.float64], averaging_s: float) -> dict[str, str]:
-    """Return the fields of a measurement under a new id. Raises ``ValueError`` for an invalid point or time."""
-    expected = checked_point(expected_M, averaging_s, _LONGEST_COMMAND_S)
-    x, y, z = (wire.number(value) for value in expected)
-    return {"id": wire.new_id(), "x": x, "y": y, "z": z, "averaging": wire.number(averaging_s)}
+def _smr_fields(expected_M: NDArray[np.float64], name: str, time_s: float) -> dict[str, str]:
+    """Return the fields of a command about an SMR under a new id; ``name`` is that of the field with ``time_s`` [s].
 
-
-# -- Client of a bridge whose tracker measures an SMR while it moves: it fetches the points buffered at the bridge ----
-#
-# The bridge buffers points until the client confirms them, so a link that breaks for a moment loses none.
-
-
-_SILENT_S = 1.0
-"""A track is dead if no point arrives for this long and for ten point intervals."""
-_AT_ONCE_S = 0.15
-"""Longest time of fetching points in one go, as other commands may be waiting."""
-_REST_WITHIN_S = 60.0
-"""Time limit for fetching the remaining points of a finished track, over a slow line."""
-
-
-@dataclass
-class _Running:
-    """The client's state of a track."""
-
-    id: str
-    interval_s: float
-    lost: Callable[[TrackerError], None]
-    received: Callable[[Track], None]
-    next: int = 0
-    on: bool = True
-    heard_s: float = field(default_factory=time.monotonic)
-    packets: list[Track] = field(default_factory=list)
-
-    @property
-    def wanted(self) -> dict[str, str]:
-        """Fields of the request for the next points."""
-        return {"track": self.id, "from": str(self.next)}
-
-
-class StreamingBridgeTracker(BridgeTracker):
-    """A tracker behind a bridge, see ``BridgeTracker``; the bridge reports whether it can stream."""
-
-    _limits: StreamLimits | None = None
-    _asked = False
-    _track: _Running | None = None
-
-    def connect(self) -> None:
-        """Open the link and a session; the stream limits are asked again when they are needed."""
-        self._asked, self._track = False, None
-        super().connect()
-
-    def stream_limits(self) -> StreamLimits | None:
-        """Return what the tracker behind the bridge can stream; None also if the bridge does not know streams."""
-        if not self._asked:
-            self._limits = None
-            with contextlib.suppress(UnknownCommand):
-                self._limits = self._read(read_limits, self._command("stream-limits"))
-            self._asked = True
-        return self._limits
-
-    def start_track(
-        self,
-        expected_M: NDArray[np.float64],
-        interval_s: float,
-        lost: Callable[[TrackerError], None],
-        received: Callable[[Track], None] = no_packet,
-    ) -> None:
-        """Make the tracker lock and follow the SMR; ``confirm`` fetches its points."""
-        limits = self.stream_limits()
-        if limits is None:
-            raise TrackerError(f"tracker bridge {self._url}: its tracker does not measure an SMR while it moves")
-        limits.check(interval_s)
-        x, y, z = (wire.number(value) for value in checked_point(expected_M, interval_s))
-        self._halting.clear()
-        id_ = wire.new_id()
-        self._command("track", {"id": id_, "x": x, "y": y, "z": z, "interval": wire.number(interval_s)})
-        self._track = _Running(id_, interval_s, lost, received)
-
-    def _ask(self, within_s: float, until_s: float) -> None:
-        """During a track fetch its points: they are the tracker's sign of life."""
-        track = self._track
-        if track is None or not track.on:
-            super()._ask(within_s, until_s)
-            return
-        with _known(track):
-            self._fetch(track, until_s, min(until_s, time.monotonic() + _AT_ONCE_S))
-        silent_s = time.monotonic() - track.heard_s
-        if track.on and silent_s > max(_SILENT_S, 10.0 * track.interval_s):
-            raise TrackerLinkLost(f"tracker bridge {self._url}: no point of the moving SMR came for {silent_s:.1f} s")
-
-    def end_track(self) -> Track:
-        """End the track, fetch the buffered points and return all points."""
-        track, self._track = self._track, None
-        if track is None:
-            return Track.of([])
-        with _known(track):
-            self._command("end-track", {"track": track.id})
-            track.lost = _nobody
-            until_s = time.monotonic() + _REST_WITHIN_S
-            while self._take(track, self._command("points", track.wanted)):
-                if time.monotonic() > until_s:
-                    raise TrackerLinkLost(
-                        f"tracker bridge {self._url}: its points did not come within {_REST_WITHIN_S:g} s"
-                    )
-        return Track.of(track.packets)
-
-    def _fetch(self, track: _Running, until_s: float, enough_s: float) -> None:
-        """Fetch buffered points, at least one answer, until ``enough_s``."""
-        while True:
-            if not self._take(track, self._exchange("points", track.wanted, until_s)) or time.monotonic() > enough_s:
-                return
-
-    def _take(self, track: _Running, answer: Fields) -> bool:
-        """Store the points of an answer and call the listeners; return whether there may be more."""
-        now_s = time.monotonic()
-        packet, waiting = self._read(lambda fields: read_packet(fields, now_s), answer)
-        track.next = int(
-            self._read(lambda fields: wire.read_number(fields, "next", track.next, track.next + 1), answer)
-        )
-        if len(packet.device_time_s):
-            track.heard_s = now_s
-            self._sign_of_life({})
-            track.packets.append(packet)
-            track.received(packet)
-        if kind := answer.get("lost.kind", ""):
-            track.on = False
-            track.lost(wire.ERRORS.get(kind, TrackerError)(answer.get("lost.text", "the track has ended")))
-        return waiting > 0
+    Raises ``ValueError`` for an invalid point or time.
+    """
+    x, y, z = (wire.number(value) for value in checked_point(expected_M, time_s, _LONGEST_COMMAND_S))
+    return {"id": wire.new_id(), "x": x, "y": y, "z": z, name: wire.number(time_s)}
 
 
 @contextlib.contextmanager

@@ -82,10 +82,10 @@ class BridgeSettings(TrackerSettings):
 
     def open(self, tracker: TrackerContext) -> Tracker:
         """Create the driver, not connected yet; it prepares the tracker at every connect. Raises ``SettingError``."""
-        from drivers.trackers.bridge import StreamingBridgeTracker
+        from drivers.trackers.bridge import BridgeTracker
         from drivers.trackers.protocol import Preparation
 
-        return StreamingBridgeTracker(
+        return BridgeTracker(
             self.url,
             token=self.token(),
             timeout_s=self.timeout,

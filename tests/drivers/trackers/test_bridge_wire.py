@@ -23,7 +23,7 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 from drivers.emulators.tracker_bridge import FAULTS, TrackerBridgeEmulator
 from drivers.plant import Plant, PlantConfig, TrackerConfig
 from drivers.trackers import bridge_wire as wire
-from drivers.trackers.bridge import BridgeTracker, StreamingBridgeTracker
+from drivers.trackers.bridge import BridgeTracker
 from drivers.trackers.bridge_server import TrackerService
 from drivers.trackers.bridge_wire import BadField, Garbled, read_limits, read_packet
 from drivers.trackers.imperfections import Imperfections
@@ -232,8 +232,8 @@ CLOCK = Imperfections(clock_offset_s=80211.0, clock_rate=20e-6, packet_jitter_s=
 
 
 @contextmanager
-def client(url: str) -> Iterator[StreamingBridgeTracker]:
-    tracker = StreamingBridgeTracker(url, timeout_s=2.0, preparation=Preparation())
+def client(url: str) -> Iterator[BridgeTracker]:
+    tracker = BridgeTracker(url, timeout_s=2.0, preparation=Preparation())
     tracker.connect()
     try:
         yield tracker
@@ -257,14 +257,14 @@ def bridged(make_plant: Any, errors: Imperfections = CLOCK, kind: str = "tcp") -
             yield plant, bridge, tracker
 
 
-def passes(plant: Any, tracker: StreamingBridgeTracker, seconds: float) -> None:
+def passes(plant: Any, tracker: BridgeTracker, seconds: float) -> None:
     """Let the plant's time pass while the client asks, as a monitor does."""
     for _ in range(round(seconds / 0.04)):
         plant.advance(0.04)
         tracker.confirm(1.0)
 
 
-def asked(tracker: StreamingBridgeTracker) -> None:
+def asked(tracker: BridgeTracker) -> None:
     """Ask as a monitor does, until it fails."""
     until(lambda: tracker.confirm(0.5), "the tracker's link fails")
 
