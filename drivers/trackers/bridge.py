@@ -331,7 +331,7 @@ class BridgeTracker:
                 self._exchange("bye", {}, time.monotonic() + min(self._timeout_s, 1.0))
         self._close()
 
-    # -- a moving SMR: the bridge keeps its points until they are fetched, so a link that breaks for a moment loses none -
+    # -- a moving SMR: the bridge keeps its points until they are fetched: a link that breaks for a moment loses none --
 
     def stream_limits(self) -> StreamLimits | None:
         """Return what the tracker behind the bridge can stream; None also if the bridge does not know streams."""

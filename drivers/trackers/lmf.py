@@ -40,16 +40,23 @@ from drivers.trackers.lmf_objects import (
     read_position,
     read_rotation,
     set_quantity,
+    set_value,
     start_level_monitoring,
+    to_si,
+    tracker_time_s,
     unwrap,
 )
 from drivers.trackers.lmf_options import DEFAULT_LIBRARY, LmfOptions
+from drivers.trackers.lmf_stream import CONTINUOUS_PROFILE, LIMITS, Following, continuous_profile
 from drivers.trackers.protocol import (
+    PACKETS_HZ,
     Halted,
     NotReady,
     Point,
     Preparation,
+    StreamLimits,
     TargetLost,
+    Track,
     TrackerError,
     TrackerIdentity,
     TrackerLinkLost,
@@ -58,6 +65,7 @@ from drivers.trackers.protocol import (
     Unstable,
     WrongTarget,
     checked_point,
+    no_packet,
     require_ready,
 )
 
@@ -82,7 +90,7 @@ _POINTING, _MEASURING = "pointing and searching", "measuring"
 
 
 class LmfTracker:
-    """One Leica tracker through LMF."""
+    """One Leica tracker through LMF; it streams if LMF has continuous measurements."""
 
     def __init__(
         self,
@@ -107,6 +115,7 @@ class LmfTracker:
         self._disconnected = ""
         self._reflector = ""
         self._averaging_set_s: float | None = None
+        self._following: Following | None = None
         self._handlers = Handlers(
             ("", "Disconnected", self._on_disconnected),
             ("", "ErrorArrived", self._on_message),
@@ -166,7 +175,9 @@ class LmfTracker:
         self._handlers.set(tracker, wanted=True)
 
     def disconnect(self) -> None:
-        """Release the tracker; harmless when not connected. A call that hangs is abandoned."""
+        """Release the tracker; harmless when not connected. A track ends; a call that hangs is abandoned."""
+        with contextlib.suppress(TrackerError):
+            self._leave()
         calls, tracker = self._calls, self._tracker
         self._calls = self._tracker = None
         self._averaging_set_s = None
@@ -236,8 +247,10 @@ class LmfTracker:
     def prepare(self, settings: Preparation) -> None:
         """Initialise and level if needed (the head moves), and apply ``settings`` now and at every connect.
 
-        Raises ``NotReady`` with all unmet preconditions, ``ValueError`` for a setting that the tracker does not have.
+        A track ends. Raises ``NotReady`` with all unmet preconditions, ``ValueError`` for a setting that the tracker
+        does not have.
         """
+        self._leave()
         self._clear_halt()
         # LMF's number for "not initialised" is not public: any precondition may mean it if the laser is ready
         known = self._call(
@@ -305,21 +318,19 @@ class LmfTracker:
     def measure(self, expected_M: Vector, averaging_s: float) -> Point:
         """Point at ``expected_M`` (3,) [m], lock the SMR there and measure it in face 1. Errors as in the protocol.
 
-        The tracker sets the averaging time, unless ``stationary`` is "time".
+        The tracker sets the averaging time, unless ``stationary`` is "time". A track ends.
         """
+        self._leave()
         expected = checked_point(expected_M, averaging_s)
-        return self._measure(expected, averaging_s)
+        self._clear_halt()
+        self._call(_POINTING, partial(self._lock, expected=expected, averaging_s=averaging_s), haltable=True)
+        return self._average(expected, averaging_s)
 
     def halt(self) -> None:
         """Make the running measurement raise ``Halted``. LMF completes its call; the next call waits for that."""
         calls = self._calls
         if calls is not None:
             calls.halt()
-
-    def _measure(self, expected: Vector, averaging_s: float) -> Point:
-        self._clear_halt()
-        self._call(_POINTING, partial(self._lock, expected=expected, averaging_s=averaging_s), haltable=True)
-        return self._average(expected, averaging_s)
 
     def _lock(self, tracker: Any, expected: Vector, averaging_s: float) -> None:
         require_ready(self._unmet(tracker))
@@ -385,6 +396,83 @@ class LmfTracker:
         messages = [self._unreported.popleft() for _ in range(len(self._unreported))]
         self._messages.extend(messages)
         return messages
+
+    # -- following a moving SMR ----------------------------------------------------------------------------------------
+
+    def stream_limits(self) -> StreamLimits | None:
+        """Return the limits of an AT960; None if this tracker has no continuous measurement."""
+        profile = self._call("reading the profiles", lambda its: continuous_profile(its) is not None)
+        return LIMITS if profile else None
+
+    def start_track(
+        self,
+        expected_M: Vector,
+        interval_s: float,
+        lost: Callable[[TrackerError], None],
+        received: Callable[[Track], None] = no_packet,
+    ) -> None:
+        """Lock the SMR, select the continuous measurement and start it."""
+        LIMITS.check(interval_s)
+        expected = checked_point(expected_M, interval_s)
+        self._leave()
+        self._clear_halt()
+        self._call(_POINTING, partial(self._lock, expected=expected, averaging_s=interval_s), haltable=True)
+        self._following = following = Following(self._packet, lost, received)
+        try:
+            self._call("starting to follow", partial(self._begin, following=following, interval_s=interval_s))
+        except BaseException:
+            with contextlib.suppress(TrackerError):  # report why it did not begin, not why it did not end
+                self.end_track()
+            raise
+
+    def end_track(self) -> Track:
+        """Stop measuring, return to stationary measurements and return all points."""
+        following, self._following = self._following, None
+        if following is None:
+            return Track.of([])
+        try:
+            self._call("ending the measurement", partial(self._stop, following=following))
+        finally:
+            packets = following.end()
+        return Track.of(packets)
+
+    def _begin(self, tracker: Any, following: Following, interval_s: float) -> None:
+        profile = continuous_profile(tracker)
+        if profile is None:
+            raise TrackerError(f"tracker: this tracker has no {CONTINUOUS_PROFILE}")
+        with self._no_handlers(tracker):
+            profile.Select()
+            self._averaging_set_s = None
+            set_quantity(profile.TimeSeparation, "time", interval_s)
+            set_value(profile, "PacketRate", max(1, min(int(PACKETS_HZ), round(1.0 / interval_s))))
+        following.handlers.set(tracker, wanted=True)
+        tracker.Measurement.StartMeasurement()
+        if tracker.Targets.Selected is None:
+            raise TargetLost("tracker: the beam to the SMR broke before it was followed")
+
+    def _stop(self, tracker: Any, following: Following) -> None:
+        following.handlers.set(tracker, wanted=False)
+        self._apply(tracker, self._preparation)  # stops the measurement and selects the stationary one
+
+    def _leave(self) -> None:
+        """End a track that is still running."""
+        if self._following is not None:
+            self.end_track()
+
+    def _packet(self, points: Any, arrived_s: float) -> Track:
+        """Convert a packet of LMF, on the thread that reads them. Raises ``TrackerError``."""
+        stamps, places = [], []
+        with self._translating_errors("reading points"):
+            for one in points:
+                position = one.Position
+                places.append([to_si(getattr(position, f"Coordinate{axis}"), "length") for axis in (1, 2, 3)])
+                stamps.append(tracker_time_s(one) or math.nan)
+        p_M = np.array(places, dtype=np.float64).reshape(-1, 3)
+        time_s = np.array(stamps, dtype=np.float64)
+        known = np.isfinite(time_s) & np.isfinite(p_M).all(axis=1)
+        p_M, time_s = p_M[known], time_s[known]
+        sigma_m = np.array([math.sqrt(np.trace(self._law.covariance(p)) / 3.0) for p in p_M], dtype=np.float64)
+        return Track(time_s, p_M, sigma_m, np.full(len(p_M), arrived_s))
 
     # -- calls ---------------------------------------------------------------------------------------------------------
 

@@ -26,11 +26,11 @@ class LmfSettings(LmfOptions):
 
     def open(self, tracker: TrackerContext) -> Tracker:
         """Create the driver, not connected yet."""
+        from drivers.trackers.lmf import LmfTracker
         from drivers.trackers.lmf_objects import ErrorLaw
-        from drivers.trackers.lmf_stream import LmfStreamTracker
 
         law = ErrorLaw(tracker.transverse, tracker.range)
-        return LmfStreamTracker(self, self.preparation(), law=law)
+        return LmfTracker(self, self.preparation(), law=law)
 
     def probe(self, tracker: TrackerContext, patience_s: float) -> list[Finding]:
         """Connect and query the tracker. This applies settings; LMF's own time limits apply, up to a minute."""

@@ -25,7 +25,6 @@ from drivers.plant import Plant
 from drivers.sensors.protocol import AirReading, SensorLinkLost
 from drivers.sensors.simulated import SimulatedAirSensor
 from drivers.trackers.lmf import LmfTracker
-from drivers.trackers.lmf_stream import LmfStreamTracker
 from tests.approved import assert_refused
 from tests.drivers.trackers.fake_lmf import Scene
 from tests.twin import small_twin, write_profile
@@ -161,11 +160,9 @@ def test_doctor_says_what_a_simulated_station_is(tmp_path: Path) -> None:
 
 @pytest.fixture
 def scene(monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene]:
-    """LMF's stand-in behind both classes of the profile's driver: jobs open one, the doctor the other."""
+    """LMF's stand-in behind the profile's driver, which jobs and the doctor open."""
     scene = Scene(targets={"left": np.array([3.0, 0.4, -0.2])}, network=(("192.168.0.7", "AT960", "750123"),))
-
-    for path, tracker in (("lmf.LmfTracker", LmfTracker), ("lmf_stream.LmfStreamTracker", LmfStreamTracker)):
-        monkeypatch.setattr(f"drivers.trackers.{path}", partial(tracker, load=lambda library: scene.lmf()))
+    monkeypatch.setattr("drivers.trackers.lmf.LmfTracker", partial(LmfTracker, load=lambda library: scene.lmf()))
     yield scene
     assert scene.violations == []
     assert scene.connected == []

@@ -17,7 +17,6 @@ from hypothesis import strategies as st
 from drivers.trackers.lmf import MEASURING_S, LmfTracker, visible_trackers
 from drivers.trackers.lmf_objects import ErrorLaw, LmfMissing, load_lmf
 from drivers.trackers.lmf_settings import LmfSettings
-from drivers.trackers.lmf_stream import LmfStreamTracker
 from drivers.trackers.protocol import (
     Halted,
     NotReady,
@@ -37,7 +36,7 @@ from tests.waiting import until
 
 LEFT = np.array([3.0, 0.4, -0.2])
 RIGHT = np.array([3.0, -0.7, 0.1])
-Make = Callable[..., LmfStreamTracker]
+Make = Callable[..., LmfTracker]
 LONG_S = 10.0
 SHORT_S = 0.15
 
@@ -55,9 +54,9 @@ def tracker(scene: Scene) -> Iterator[Make]:
     """``tracker(preparation, **settings)``: a connected tracker, disconnected at the end."""
     made = []
 
-    def make(preparation: Preparation | None = None, **settings: Any) -> LmfStreamTracker:
+    def make(preparation: Preparation | None = None, **settings: Any) -> LmfTracker:
         use = LmfSettings(**({"address": "192.168.0.1"} | settings))
-        driver = LmfStreamTracker(use, preparation or Preparation(), load=lambda library: scene.lmf())
+        driver = LmfTracker(use, preparation or Preparation(), load=lambda library: scene.lmf())
         made.append(driver)
         driver.connect()
         return driver
