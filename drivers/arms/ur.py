@@ -58,6 +58,8 @@ _KNOWN_WITHIN_S, _ASK_AGAIN_S = 1.5, 0.1
 """Time limit for the name of the program of who holds the controller: programs start within a second."""
 _ENDS_WITHIN_S = 3.0
 _MARGIN_S = 1.0
+_CB3_PERIOD_S, _PERIOD_S = 0.008, 0.002
+"""Control cycles of the CB3 series (125 Hz) and of all later ones (500 Hz)."""
 _ROWS_AT_ONCE = 20
 """Joint positions per request to the worker, which needs 8 to 20 ms for each to ask the controller."""
 _ROWS_WITHIN_S = 10.0
@@ -91,6 +93,7 @@ class UrArm(SupervisedLink):
         self._checksum: str | None = expected.checksum
         self._warnings: tuple[str, ...] = ()
         self._limits = expected.limits
+        self._recorder: UrRecorder | None = None
 
     def connect(self) -> None:
         """Probe the controller over plain sockets, check it against the expectation, then start the RTDE client.
@@ -244,11 +247,12 @@ class UrArm(SupervisedLink):
         return arm_state(answer, self._settings.settle_speed)
 
     def disconnect(self) -> None:
-        """Stop the arm, its program and the client; leave nothing on the controller. Harmless when closed.
+        """Stop the arm, its program and all connections; leave nothing on the controller. Harmless when closed.
 
         Wait for a program that was uploaded and has not started yet, at most ``startup_timeout``, to end it. Raises
         ``LinkLost`` if the arm was not seen at rest, or that program was not seen.
         """
+        self._end_recorder()
         worker, self._worker = self._worker, None
         self._first_fault.mute()
         if worker is not None:
@@ -262,6 +266,77 @@ class UrArm(SupervisedLink):
             raise LinkLost(f"arm {self._name}: {error}") from error
         if self._program.may_run:
             self._require_rest()
+
+    # -- paths: the worker receives the whole path and sends it by its own clock --------------------------------------
+
+    @property
+    def path_period_s(self) -> float:
+        """Control cycle of the connected controller [s]."""
+        return _CB3_PERIOD_S if self._connected().series == "CB3" else _PERIOD_S
+
+    def start_path(self, q: NDArray[np.float64], period_s: float) -> None:
+        """Stream joint positions ``q`` (m, 6) [rad]. The arm must rest at the first one; the worker checks this again.
+
+        Raises ``LimitExceeded`` before anything is sent, otherwise as ``start_move``.
+        """
+        controller_period_s = self.path_period_s
+        state = self.state()
+        if state.moving:  # before the checks of the path: the position of a moving arm means nothing
+            raise arm_error(self._name, "advised", STILL_MOVING)
+        path = checked_path(self._name, q, period_s, controller_period_s, self._limits, state.q)
+        self._program.started()
+        self._call(
+            "path",
+            self._settings.startup_timeout,
+            self._require_not_braked,
+            q=path.tolist(),
+            period_s=period_s,
+            lookahead_s=self._settings.servo_lookahead,
+            gain=self._settings.servo_gain,
+        )
+
+    def end_path(self) -> None:
+        """Slow down along the path and rest on it; from any thread. Raises ``LinkLost``."""
+        worker = self._worker
+        if worker is None:
+            return
+        try:
+            worker.call("end_path", ANSWER_WITHIN_S)
+        except (WorkerGone, Refusal) as error:
+            raise LinkLost(f"arm {self._name}: the path could not be ended: {error}") from error
+
+    def reached(self) -> float:
+        """Return the row at which ``end_path`` ended the last path; inf if it did not."""
+        return float(self._call("reached", ANSWER_WITHIN_S).get("reached", math.inf))
+
+    # -- recording -----------------------------------------------------------------------------------------------------
+
+    @property
+    def settle_window(self) -> float:
+        """Largest change of a joint at rest [rad]."""
+        return self._settings.settle_window
+
+    def start_recording(self) -> None:
+        """Record every state of the controller over a separate connection. Raises ``LinkLost``."""
+        self._end_recorder()
+        self._recorder = UrRecorder(self._name, self._host, self.path_period_s)
+
+    def recorded(self) -> tuple[int, int]:
+        """Return the numbers of received and lost samples."""
+        recorder = self._recorder
+        return (0, 0) if recorder is None else recorder.so_far()
+
+    def end_recording(self) -> JointRecord:
+        """Return all samples. Raises ``LinkLost`` if the connection ended before."""
+        recorder, self._recorder = self._recorder, None
+        if recorder is None:
+            raise LinkLost(f"arm {self._name}: it is not being recorded")
+        return recorder.end()
+
+    def _end_recorder(self) -> None:
+        recorder, self._recorder = self._recorder, None
+        if recorder is not None:
+            recorder.close()
 
     # -- connecting ----------------------------------------------------------------------------------------------------
 
@@ -492,90 +567,3 @@ class UrRecorder:
 def _table(states: Sequence[Values], name: str) -> NDArray[np.float64]:
     """Return an output of all states, (n, k); (n, 0) if it was not sent."""
     return np.array([state.get(name, ()) for state in states], dtype=np.float64).reshape(len(states), -1)
-
-
-# -- A UR arm that also follows paths: its worker streams joint positions with ``servoj`` at the controller's rate ----
-
-
-_CB3_PERIOD_S, _PERIOD_S = 0.008, 0.002
-"""Control cycles of the CB3 series (125 Hz) and of all later ones (500 Hz)."""
-
-
-class UrPathArm(UrArm):
-    """One UR arm, see ``UrArm``. The worker receives the whole path and sends it by its own clock."""
-
-    _recorder: UrRecorder | None = None
-
-    @property
-    def path_period_s(self) -> float:
-        """Control cycle of the connected controller [s]."""
-        return _CB3_PERIOD_S if self._connected().series == "CB3" else _PERIOD_S
-
-    def start_path(self, q: NDArray[np.float64], period_s: float) -> None:
-        """Stream joint positions ``q`` (m, 6) [rad]. The arm must rest at the first one; the worker checks this again.
-
-        Raises ``LimitExceeded`` before anything is sent, otherwise as ``start_move``.
-        """
-        controller_period_s = self.path_period_s
-        state = self.state()
-        if state.moving:  # before the checks of the path: the position of a moving arm means nothing
-            raise arm_error(self._name, "advised", STILL_MOVING)
-        path = checked_path(self._name, q, period_s, controller_period_s, self._limits, state.q)
-        self._program.started()
-        self._call(
-            "path",
-            self._settings.startup_timeout,
-            self._require_not_braked,
-            q=path.tolist(),
-            period_s=period_s,
-            lookahead_s=self._settings.servo_lookahead,
-            gain=self._settings.servo_gain,
-        )
-
-    def end_path(self) -> None:
-        """Slow down along the path and rest on it; from any thread. Raises ``LinkLost``."""
-        worker = self._worker
-        if worker is None:
-            return
-        try:
-            worker.call("end_path", ANSWER_WITHIN_S)
-        except (WorkerGone, Refusal) as error:
-            raise LinkLost(f"arm {self._name}: the path could not be ended: {error}") from error
-
-    def reached(self) -> float:
-        """Return the row at which ``end_path`` ended the last path; inf if it did not."""
-        return float(self._call("reached", ANSWER_WITHIN_S).get("reached", math.inf))
-
-    # -- recording -----------------------------------------------------------------------------------------------------
-
-    @property
-    def settle_window(self) -> float:
-        """Largest change of a joint at rest [rad]."""
-        return self._settings.settle_window
-
-    def start_recording(self) -> None:
-        """Record every state of the controller over a separate connection. Raises ``LinkLost``."""
-        self._end_recorder()
-        self._recorder = UrRecorder(self._name, self._host, self.path_period_s)
-
-    def recorded(self) -> tuple[int, int]:
-        """Return the numbers of received and lost samples."""
-        recorder = self._recorder
-        return (0, 0) if recorder is None else recorder.so_far()
-
-    def end_recording(self) -> JointRecord:
-        """Return all samples. Raises ``LinkLost`` if the connection ended before."""
-        recorder, self._recorder = self._recorder, None
-        if recorder is None:
-            raise LinkLost(f"arm {self._name}: it is not being recorded")
-        return recorder.end()
-
-    def disconnect(self) -> None:
-        """Stop the arm and close all connections."""
-        self._end_recorder()
-        super().disconnect()
-
-    def _end_recorder(self) -> None:
-        recorder, self._recorder = self._recorder, None
-        if recorder is not None:
-            recorder.close()

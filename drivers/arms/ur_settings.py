@@ -63,9 +63,9 @@ class UrSettings(UrOptions):
 
     def open(self, arm: ArmContext) -> Arm:
         """Return the driver, not connected yet. Raises ``SettingError``."""
-        from drivers.arms.ur import UrPathArm
+        from drivers.arms.ur import UrArm
 
-        return UrPathArm(arm.name, self, self.expectation(arm), user=arm.user)
+        return UrArm(arm.name, self, self.expectation(arm), user=arm.user)
 
     def probe(self, arm: ArmContext, patience_s: float) -> list[Finding]:
         """Query the controller over plain sockets and compare its answers with the profile."""

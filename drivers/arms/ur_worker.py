@@ -65,6 +65,8 @@ _STOP_WITHIN_S = 1.0
 _BRAKE_WITHIN_S = 0.3
 _BRAKE_READ_S = 0.002
 _NICENESS = -10
+"""Priority of this process where it is allowed, so that the watchdog is kicked in time. Not real-time priority: the
+client busy-waits and would block everything else on a small computer."""
 
 
 class Worker:
@@ -249,17 +251,9 @@ class Worker:
         return state
 
 
-def _raise_priority() -> None:
-    """Raise this process's priority where allowed, so that the watchdog is kicked in time.
-
-    Not to real-time priority: the client busy-waits and would block everything else on a small computer.
-    """
-    run_first(_NICENESS)
-
-
 def main() -> None:
     """Serve on standard input and output; keep the RTDE client's own messages out of them."""
-    _raise_priority()
+    run_first(_NICENESS)
     for name in ("SIGINT", "SIGTSTP", "SIGHUP"):  # sent to all processes of a terminal; the application handles them
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)

@@ -195,18 +195,6 @@ class SimulatedTracker:
         or ``TrackerLinkLost``.
         """
         expected = self._checked_request(expected_M, averaging_s)
-        return self._measure(expected, averaging_s)
-
-    def _checked_request(self, expected_M: Vector, averaging_s: float) -> Vector:
-        require_ready(self.unmet())
-        expected = checked_point(expected_M, averaging_s)
-        self._halt.clear()
-        if self._stream is not None:  # another measurement ends the stream
-            self._stream.end()
-            self._stream = None
-        return expected
-
-    def _measure(self, expected: Vector, averaging_s: float) -> Point:
         self._wait(POINTING_S)
         locked = self._lock(expected)
         rested_s = math.inf if locked.arm is None else self.plant.clock_s - self.plant.rest_s(locked.arm)
@@ -235,6 +223,15 @@ class SimulatedTracker:
             quaternion_M=self._orientation(locked),
             sigma_rad=None if locked.R_M_S is None else locked.sigma_rad,
         )
+
+    def _checked_request(self, expected_M: Vector, averaging_s: float) -> Vector:
+        require_ready(self.unmet())
+        expected = checked_point(expected_M, averaging_s)
+        self._halt.clear()
+        if self._stream is not None:  # another measurement ends the stream
+            self._stream.end()
+            self._stream = None
+        return expected
 
     def _orientation(self, locked: TrueSmr) -> Vector | None:
         """Return the measured orientation of a 6-D probe (4,); None for an SMR."""

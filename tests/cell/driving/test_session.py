@@ -435,7 +435,7 @@ def test_a_safety_stop_during_the_retry_needs_a_person(bench: Bench) -> None:
 
 def test_a_point_that_was_measured_through_a_stop_is_not_stored(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(SimulatedTracker, "halt", lambda self: None)  # the halt came before the measurement
-    measure = SimulatedTracker._measure
+    measure = SimulatedTracker.measure
 
     def through(self: SimulatedTracker, *arguments: Any) -> Any:
         point = measure(self, *arguments)
@@ -443,7 +443,7 @@ def test_a_point_that_was_measured_through_a_stop_is_not_stored(bench: Bench, mo
             bench.arm("left").emergency_stop()
         return point
 
-    monkeypatch.setattr(SimulatedTracker, "_measure", through)
+    monkeypatch.setattr(SimulatedTracker, "measure", through)
     with pytest.raises(HardwareError, match="emergency stop"):
         bench.collect()
     assert bench.run.stops_done() == {0, 1}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -21,20 +21,15 @@ from drivers.arms.protocol import (
     ProtectiveStop,
 )
 from drivers.arms.recording import RecordingArm
-from drivers.arms.ur import UrArm, UrPathArm
-from drivers.arms.ur_settings import UrSettings
+from drivers.arms.ur import UrArm
 from drivers.emulators.ur_controller import EmulatorProcess
 from tests.drivers.arms.emulated_ur_cell import (
     ACCELERATION,
-    FOUR_HOSTS,
     HOME,
     PATIENT_S,
-    SETTLE_S,
     SPEED,
-    WATCHDOG_HZ,
     Episode,
     assert_stays_at_rest,
-    expectation,
     is_stall,
     of_each_arm,
     repair,
@@ -44,17 +39,6 @@ from tests.waiting import until
 pytestmark = pytest.mark.waits
 
 WAY = np.array([0.5, 0.2, -0.3, 0.2, 0.3, -0.4])
-
-
-@pytest.fixture(scope="module")
-def drivers() -> Iterator[dict[str, UrPathArm]]:
-    arms = {}
-    for name, host in FOUR_HOSTS.items():
-        settings = UrSettings(host=host, watchdog_hz=WATCHDOG_HZ, settle_time=SETTLE_S)
-        arms[name] = UrPathArm(name, settings, expectation(name), rest_s=1.0)
-    yield arms
-    for arm in arms.values():
-        arm.disconnect()
 
 
 def make_ready(emulator: EmulatorProcess, arm: UrArm) -> None:
@@ -72,14 +56,14 @@ def smooth_path(period_s: float, duration_s: float) -> np.ndarray:
     return HOME + 0.5 * (1.0 - np.cos(2.0 * np.pi * x)) * WAY * x * (1.0 - x) * 4.0
 
 
-def begun(arm: UrPathArm, duration_s: float = 3.0) -> UrPathArm:
+def begun(arm: UrArm, duration_s: float = 3.0) -> UrArm:
     """The arm in the middle of a path."""
     arm.start_path(smooth_path(arm.path_period_s, duration_s), arm.path_period_s)
     wait_until_under_way(arm)
     return arm
 
 
-def wait_until_under_way(arm: UrPathArm) -> None:
+def wait_until_under_way(arm: UrArm) -> None:
     """Wait until the arm is far from the beginning of its path; raise what has stopped it: a stall of this computer,
     perhaps."""
 
@@ -93,7 +77,6 @@ def wait_until_under_way(arm: UrPathArm) -> None:
 
 
 def path_is_followed_to_its_end(emulator: EmulatorProcess, arm: UrArm) -> None:
-    assert isinstance(arm, UrPathArm)
     assert isinstance(arm, PathFollower)
     assert arm.path_period_s == {"left": 0.008, "right": 0.002}[arm.name.removesuffix("2")]
     path = smooth_path(arm.path_period_s, 1.6)
@@ -127,7 +110,6 @@ FAULTS: dict[str, tuple[tuple[Any, ...], type[ArmError]]] = {
 
 def fault_in_mid_path(emulator: EmulatorProcess, arm: UrArm, *, fault: str) -> None:
     """It stops the arm."""
-    assert isinstance(arm, UrPathArm)
     command, error = FAULTS[fault]
     heard: list[ArmError] = []
     arm.watch(heard.append)
@@ -143,12 +125,11 @@ def fault_in_mid_path(emulator: EmulatorProcess, arm: UrArm, *, fault: str) -> N
         arm.start_path(smooth_path(0.008, 1.6), 0.008)
 
 
-STOPS: dict[str, Callable[[UrPathArm], None]] = {"brake": UrPathArm.brake, "stop": UrPathArm.stop}
+STOPS: dict[str, Callable[[UrArm], None]] = {"brake": UrArm.brake, "stop": UrArm.stop}
 
 
 def stop_from_another_thread(emulator: EmulatorProcess, arm: UrArm, *, how: str) -> None:
     """It ends the path."""
-    assert isinstance(arm, UrPathArm)
     begun(arm)
     thread = threading.Thread(target=STOPS[how], args=(arm,))
     thread.start()
@@ -160,7 +141,6 @@ def stop_from_another_thread(emulator: EmulatorProcess, arm: UrArm, *, how: str)
 
 def path_is_ended_early(emulator: EmulatorProcess, arm: UrArm) -> None:
     """The arm slows down along the path, rests on it, and moves on from there without connecting again."""
-    assert isinstance(arm, UrPathArm)
     path = smooth_path(arm.path_period_s, 3.0)
     begun(arm)
     thread = threading.Thread(target=arm.end_path)
@@ -177,7 +157,6 @@ def path_is_ended_early(emulator: EmulatorProcess, arm: UrArm) -> None:
 
 def every_sample_is_recorded(emulator: EmulatorProcess, arm: UrArm) -> None:
     """At the controller's own rate, with its stamps."""
-    assert isinstance(arm, UrPathArm)
     assert isinstance(arm, RecordingArm)
     arm.start_recording()
     path = smooth_path(arm.path_period_s, 1.6)
@@ -207,7 +186,6 @@ def every_sample_is_recorded(emulator: EmulatorProcess, arm: UrArm) -> None:
 
 def recording_loses_its_link(emulator: EmulatorProcess, arm: UrArm) -> None:
     """The record says so; the arm has its own links, and a fault of its own."""
-    assert isinstance(arm, UrPathArm)
     arm.start_recording()
     emulator.control(arm.name, "drop", "rtde", "fin")
     until(lambda: arm._recorder is not None and arm._recorder._problem is not None, "the connection has ended")
@@ -217,7 +195,6 @@ def recording_loses_its_link(emulator: EmulatorProcess, arm: UrArm) -> None:
 
 def wrong_path(emulator: EmulatorProcess, arm: UrArm) -> None:
     """Nothing moves."""
-    assert isinstance(arm, UrPathArm)
     period_s, moves = arm.path_period_s, emulator.control(arm.name, "status")["moves"]
     good = smooth_path(period_s, 1.6)
     cases: dict[str, tuple[np.ndarray, float]] = {
@@ -250,5 +227,5 @@ EPISODES: dict[str, list[Episode]] = {
 }  # fmt: skip
 
 
-def test_of_each_arm(emulator: EmulatorProcess, drivers: dict[str, UrPathArm]) -> None:
+def test_of_each_arm(emulator: EmulatorProcess, drivers: dict[str, UrArm]) -> None:
     of_each_arm(emulator, drivers, EPISODES, make_ready)
