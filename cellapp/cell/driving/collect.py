@@ -43,7 +43,6 @@ from cellapp.cell.run.measured_again import (
     replace_stop,
     replaced_counts,
 )
-from cellapp.cell.run.sqlite_file import OutcomeKind
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies
 from cellapp.estimation.readings import Readings
@@ -118,10 +117,10 @@ class CollectSession:
             other_loads(self.run.profile, profile),
         )
         self._air = None if self.cell.air is None else AirTemperature(self.cell.air, self._log, self._emit)
-        stored = {name: self.run.readings(name) for name in self.work.plan}
+        stored = {name: self.run.readings(name) for name in self.work.route.q}
         if self.work.again:  # leave out the stops to be measured again: the model judges them anew
             stored = {name: its.take(~np.isin(its.configuration, self.work.stops)) for name, its in stored.items()}
-        self._model = LiveModel(profile, self.work.plan, stored, self._log)
+        self._model = LiveModel(profile, self.work.route.q, stored, self._log)
         driver = SweepDriver(
             self.cell, self._mover, self.bodies, self.reaction, self.control, 1.0 / self._settings.motion_rate
         )
@@ -217,7 +216,7 @@ class CollectSession:
         """Record the remaining sweeps about a stop, with the arms at rest there; skip stops that were left out."""
         if stop not in self._sweeps.stops or stop in self._forbidden:
             return
-        at = self.work.targets(stop)
+        at = self.work.route.targets(stop)
         try:
             if not self._mover.rests_at(at):
                 self._travel.to_stop(stop)
@@ -307,7 +306,7 @@ class CollectSession:
 
     def _reference_stop(self) -> int:
         """Return the first stop of the plan that no controller forbids: the same one in every session."""
-        return next(stop for stop in range(self.work.planned) if stop not in self._forbidden)
+        return next(stop for stop in range(len(self.work.route)) if stop not in self._forbidden)
 
     def _measure_references(self) -> None:
         """Measure the references if they are due: the SMRs at the reference stop, and fixed nests."""
@@ -419,9 +418,8 @@ class CollectSession:
                     raise
 
     def _leave_out(self, stops: set[int], reason: str) -> None:
-        kind: OutcomeKind = "left out"
         for stop in sorted(stops):
-            self._store(stop, {}, [Outcome(stop, name, kind, reason) for name in self.work.plan])
+            self._store(stop, {}, [Outcome(stop, name, "left out", reason) for name in self.work.route.q])
             self._note(f"stop {stop + 1}: left out: {reason}")
         self._queue.remove(stops)
 
@@ -525,7 +523,7 @@ def collect_run(
 def _require_space(run: RunFile, work: StopsToCollect) -> None:
     """Raise ``InputError`` unless all that remains to be collected can be written; nothing has moved."""
     stops, sweeps = (len(work.stops) + len(work.reserves), [] if work.again else [*chain(*due_sweeps(run).values())])
-    readings = stops * len(work.plan)
+    readings = stops * len(work.route.q)
     needed = min(stops * _STOP_BYTES, _LOG_BYTES) + readings * _READING_BYTES
     needed += round(sum(sweep.period_s for sweep in sweeps) * _SWEEP_BYTES_S)
     swept = f" and {counted(len(sweeps), 'sweep')}" if sweeps else ""

@@ -118,7 +118,7 @@ class _Driver:
 
     def _to_stop(self, stop: int) -> None:
         """Move as collecting does; if only some arms of the cell move, go straight or from home."""
-        if set(self.arms) == set(self.work.plan):
+        if set(self.arms) == set(self.work.route.q):
             self.travel.to_stop(stop)
             return
         try:
@@ -128,7 +128,7 @@ class _Driver:
             self.mover.move(self._targets(stop))
 
     def _targets(self, stop: int) -> dict[str, Array]:
-        return {name: q for name, q in self.work.targets(stop).items() if name in self.arms}
+        return {name: q for name, q in self.work.route.targets(stop).items() if name in self.arms}
 
     def _note(self, detail: Detail) -> None:
         """Record duration and deviation of a motion from the reports of its beginning and end."""

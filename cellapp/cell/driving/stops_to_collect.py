@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cellapp.cell.driving.cell import Cell, answers_of_all
 from cellapp.cell.driving.motion import MotionRefused, Mover, Vector
@@ -63,23 +62,9 @@ class StopsToCollect:
     again: bool = False
 
     @property
-    def plan(self) -> Mapping[str, NDArray[np.float64]]:
-        """Joint positions of all stops, arm -> (n, N) [rad]."""
-        return self.route.q
-
-    @property
-    def planned(self) -> int:
-        """Number of rows of the plan, reserves included."""
-        return len(self.route)
-
-    @property
     def total(self) -> int:
         """Number of stored stops plus stops to collect, without reserves."""
         return self.stored + len(self.stops)
-
-    def targets(self, stop: int) -> dict[str, NDArray[np.float64]]:
-        """Return the joint positions of a stop by arm."""
-        return self.route.targets(stop)
 
     @property
     def loads(self) -> tuple[int, ...]:
@@ -133,8 +118,8 @@ def work_again(run: RunFile, stops: Collection[int]) -> StopsToCollect:
     tried = run.stops_done() | {one.stop for one in run.outcomes()}
     if not stops:
         raise InputError(f"{run.path}: no stop is named to be measured again")
-    if unknown := [stop for stop in sorted(stops) if not 0 <= stop < work.planned]:
-        raise InputError(f"{run.path}: there is no stop {unknown[0] + 1}; there are 1 to {work.planned}")
+    if unknown := [stop for stop in sorted(stops) if not 0 <= stop < len(work.route)]:
+        raise InputError(f"{run.path}: there is no stop {unknown[0] + 1}; there are 1 to {len(work.route)}")
     if untried := [stop for stop in sorted(stops) if stop not in tried]:
         raise InputError(
             f"{run.path}: stop {untried[0] + 1} was not measured yet; 'cellapp collect {shell_word(run.folder)}"
@@ -260,7 +245,7 @@ class Travel:
 
     def _routes(self, stop: int) -> list[Route]:
         """Return the routes to a stop from the present positions."""
-        before = self._work.targets(stop - 1) if stop else self._homes
+        before = self._work.route.targets(stop - 1) if stop else self._homes
         planned = bool(self._work.route.legs[stop]) and self._mover.rests_at(before)
         return list(routes(self._work.route, stop, as_planned=planned))
 
@@ -323,6 +308,6 @@ def _positions(work: StopsToCollect, stops: Sequence[int], name: str) -> list[tu
     """Return the joint positions of an arm at stops and on the planned ways to them, each with its stop."""
     found = []
     for stop in stops:
-        way = [*work.route.legs[stop], work.route.approach_starts(stop), work.targets(stop)]
+        way = [*work.route.legs[stop], work.route.approach_starts(stop), work.route.targets(stop)]
         found += [(stop, motion[name]) for motion in way if name in motion]
     return found
