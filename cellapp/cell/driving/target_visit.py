@@ -231,8 +231,8 @@ class TargetVisit:
         here = self.driver.mover.positions()
         sides = {}
         for name, command in found.commands.items():
-            if command.approach is not None:
-                sides[name] = np.array(command.approach, dtype=np.float64)
+            if command.stated_approach is not None:
+                sides[name] = np.array(command.stated_approach, dtype=np.float64)
             elif last_motion_matters(self.model.arms[name]):
                 sides[name] = np.sign(np.asarray(command.q_compensated) - here[name])
         return sides

@@ -224,7 +224,7 @@ class Findings:
         if len(off) < 3 or off[1] is None or off[2] is None:
             return None
         (nominal_mm, nominal_mrad), (mm, mrad) = off[0] or (None, None), off[2]
-        stated, target, predicted = (first.rotation, second.rotation), first.target, second.relative
+        stated, target, predicted = (first.orientation, second.orientation), first.target, second.relative
         expanded = None
         if stated[0] is not None and stated[1] is not None:
             budgets = [
@@ -291,7 +291,7 @@ def _rotation(
     angles = [_rotation_mrad(one) for one in (nominal, alone, kept)]
     if all(angle is None for angle in angles):
         return None
-    stated = command.rotation
+    stated = command.orientation
     expanded = None
     if stated is not None:
         expanded = expanded_mrad(angle_budget(judge.profile, command.arm, stated.model_mrad, stated.noise_mrad))

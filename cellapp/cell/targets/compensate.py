@@ -249,11 +249,11 @@ def _of_arm(
             residual_um=float(found.residual_m[place]) * 1e6,
             residual_urad=None if np.isnan(rotated) else rotated * 1e6,
             conditions=conditions.take(np.array([place])),
-            side=sided.approach(place),
+            approach=sided.approach(place),
             payload_kg=float(payloads[place]),
             note=notes[place],
             prediction=predicted[place],
-            rotation=rotations[place],
+            orientation=rotations[place],
             rotation_M=goal.rotation_M[k],
             nominal_rotation_M=goal.nominal_rotation_M[k],
         )

@@ -465,8 +465,8 @@ class Command:
     arm : str
         Arm; a cooperative target has one command for each of its arms.
     q_nominal, q_compensated : array, shape (N,), or None
-        Joint positions [rad] from the published and from the calibrated model, the latter for joints that arrive from
-        ``side``; None if the target was refused.
+        Joint positions [rad] from the published and from the calibrated model, the latter for joints that arrive as
+        ``approach`` says; None if the target was refused.
     expected_M, nominal_M : array, shape (3,), or None
         Expected measurement of the SMR [m]: the target relative to the calibrated and to the nominal base.
     refusal : str
@@ -481,14 +481,14 @@ class Command:
         What to know about a command that is not refused.
     conditions : MeasurementConditions or None
         Working conditions that the command was computed for (one row), including the side of approach.
-    side : signs or None
+    approach : signs or None
         Sign of each joint's last motion that the command is for: as stated, else, if it matters, as on the way from
         home; None if any side will do.
     payload_kg : float or None
         Payload that the command was computed for, stated or the profile's.
     prediction : Prediction or None
         None if the model states no uncertainty.
-    rotation : PredictedRotation or None
+    orientation : PredictedRotation or None
         None if no orientation of the arm was measured.
     relative : PredictedRelative or None
         Of the partner of a cooperative target, where orientations of both arms were measured.
@@ -509,10 +509,10 @@ class Command:
     residual_urad: float | None = None
     note: str = ""
     conditions: MeasurementConditions | None = None
-    side: tuple[int, ...] | None = None
+    approach: tuple[int, ...] | None = None
     payload_kg: float | None = None
     prediction: Prediction | None = None
-    rotation: PredictedRotation | None = None
+    orientation: PredictedRotation | None = None
     relative: PredictedRelative | None = None
     rotation_M: Array | None = None
     nominal_rotation_M: Array | None = None
@@ -528,7 +528,7 @@ class Command:
         return None if self.prediction is None else self.prediction.within_mm
 
     @property
-    def approach(self) -> tuple[int, ...] | None:
+    def stated_approach(self) -> tuple[int, ...] | None:
         """Side of each joint that the target states; None if it states none."""
         return self.target.approach if self.arm == self.target.arm else None
 
@@ -549,10 +549,8 @@ def command_record(command: Command) -> TargetCommand:
         q_compensated=None if command.q_compensated is None else tuple(command.q_compensated.tolist()),
         parts=None if found is None else found.parts,
         unknown=() if found is None else found.unknown,
-        approach=command.side,
         holds_for="" if command.q_compensated is None else _holds_for(command),
         verdict=judged if found is None else found.verdict,
-        orientation=command.rotation,
     )
 
 
@@ -566,4 +564,4 @@ def _holds_for(command: Command) -> str:
         words.append(f"{stated.time:g} s after the run began")
     if stated.dwell is not None:
         words.append(f"{stated.dwell:g} s at rest")
-    return holds_for(command.side, payload_kg=command.payload_kg, stated=words)
+    return holds_for(command.approach, payload_kg=command.payload_kg, stated=words)

@@ -145,7 +145,7 @@ def test_an_error_below_the_noise_is_not_made_worse_and_no_improvement_is_report
         if command.refusal:
             continue
         assert command.q_compensated is not None
-        side = np.array([command.side or (0,) * 6], dtype=float)
+        side = np.array([command.approach or (0,) * 6], dtype=float)
         true_M = plant.smr_positions(command.arm, command.q_compensated[None], approach=side)[0]
         beside.append(replace(command, expected_M=true_M + np.array([4.5e-6, 0.0, 0.0])))
     found = push(run.profile, model, beside, verify=True, rounds=3)

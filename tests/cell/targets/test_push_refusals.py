@@ -267,7 +267,7 @@ def errors_and_parts(
     ]
     commands = [one for one in compensate(run.profile, model, targets, ranges=ranges) if not one.refusal]
     q = np.array([one.q_compensated for one in commands])
-    sides = np.array([one.side or (0,) * 6 for one in commands], dtype=float)
+    sides = np.array([one.approach or (0,) * 6 for one in commands], dtype=float)
     true_M = build_plant(run.profile).smr_positions("left", q, approach=sides, payload=np.full(len(q), load_kg))
     errors = (true_M - np.array([one.expected_M for one in commands])) * 1e3
     parts = [one.prediction.parts for one in commands if one.prediction is not None]
