@@ -12,7 +12,7 @@ import numpy as np
 
 from cellapp.cell.exports.arm_export import ArmExport
 from cellapp.cell.safety.gate import CellBodies, refuse_motion
-from cellapp.cell.targets.compensate import with_approach
+from cellapp.cell.targets.invert import with_approach
 from cellapp.cell.targets.ranges import signs_words
 from cellapp.cell.targets.records import MeasuredTarget, TargetCommand
 from cellapp.ground.errors import InputError

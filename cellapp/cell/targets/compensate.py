@@ -25,15 +25,11 @@ from cellapp.cell.targets.invert import (
     admissible_configurations,
     choose,
     invert,
-    invert_model,
     judged_branches,
-    with_approach,
-    without_effects,
 )
 from cellapp.cell.targets.prediction import (
     Command,
     Predicted,
-    command_record,
     outside_notes,
     predicted_relative,
     predicted_rotations,
@@ -48,7 +44,6 @@ from cellapp.cell.targets.ranges import (
     sided_commands,
     stated_conditions,
 )
-from cellapp.cell.targets.records import CompensateResult
 from cellapp.cell.targets.targets import Target
 from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
@@ -57,8 +52,6 @@ from cellapp.robot.kinematics.chain import Geometry
 from cellapp.robot.kinematics.inverse import all_branches, errors_and_jacobian, missed_distances, solve_pose
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel, CellModel
-
-__all__ = ["Command", "compensate", "compensate_result", "invert_model", "with_approach", "without_effects"]
 
 _TOGETHER_ROUNDS = 2
 """Iterations for two arms that act on each other: in the second one their interaction changes by a thousandth."""
@@ -90,11 +83,6 @@ def compensate(
         for name, of_arm in _commands(of_group).items():
             commands.update({(number, name): command for number, command in zip(numbers, of_arm, strict=True)})
     return tuple(commands[number, name] for number, target in enumerate(targets) for name in target.arms)
-
-
-def compensate_result(commands: Sequence[Command], notes: Sequence[str] = ()) -> CompensateResult:
-    """Return the object that ``compensate --json`` writes and that the run file stores."""
-    return CompensateResult(targets=tuple(command_record(command) for command in commands), notes=tuple(notes))
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------

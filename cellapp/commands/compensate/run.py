@@ -14,9 +14,10 @@ from cellapp.cell.profile.files import write_new
 from cellapp.cell.programs.records import CorrectResult
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.recordings import known_readings
-from cellapp.cell.targets.compensate import Command, compensate, compensate_result
+from cellapp.cell.targets.compensate import compensate
 from cellapp.cell.targets.goals import UNPLACED, commanded_profile, is_unplaced
 from cellapp.cell.targets.path import PathPlan, PathResult, PathSpec, holds_paths, load_paths, path_record, plan_path
+from cellapp.cell.targets.prediction import Command, command_record
 from cellapp.cell.targets.ranges import ConditionRanges
 from cellapp.cell.targets.records import CompensateResult
 from cellapp.cell.targets.targets import Target, load_targets
@@ -106,9 +107,12 @@ def compensate_targets(
     unknown = [UNPLACED] if is_unplaced(profile) else []
     if unknown:
         commands = tuple(replace(one, visible=None) for one in commands)
-    result = compensate_result(commands, [*notes, *unknown])
     common = {name: _common(arm, name, commands, readings[name]) for name, arm in model.arms.items()}
-    return commands, result.model_copy(update={"common": {name: its for name, its in common.items() if its}})
+    return commands, CompensateResult(
+        targets=tuple(map(command_record, commands)),
+        notes=(*notes, *unknown),
+        common={name: its for name, its in common.items() if its},
+    )
 
 
 def _common(arm: ArmModel, name: str, commands: Sequence[Command], readings: Readings) -> CommonUncertainty | None:

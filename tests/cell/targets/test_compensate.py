@@ -13,8 +13,9 @@ import pytest
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import refuse_stop, visible
-from cellapp.cell.targets.compensate import Command, compensate, compensate_result, invert_model
-from cellapp.cell.targets.prediction import command_record
+from cellapp.cell.targets.compensate import compensate
+from cellapp.cell.targets.invert import invert_model
+from cellapp.cell.targets.prediction import Command, command_record
 from cellapp.cell.targets.targets import Partner, Target, load_targets
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
@@ -99,7 +100,7 @@ def test_out_of_reach_out_of_sight_and_unsafe(run: RunFile, model: CellModel) ->
     high = run.profile.model_copy(update={"plan": run.profile.plan.model_copy(update={"floor": 0.05})})
     refusals = [command.refusal for command in compensate(high, model, TARGETS)]
     assert any("the floor" in refusal for refusal in refusals)
-    (entry,) = json.loads(compensate_result(refused[-1:]).to_json())["targets"]
+    entry = json.loads(command_record(refused[-1]).model_dump_json())
     place = {"name": "it", "arm": "left", "position": [3.0, 0.0, 0.5], "rpy": [0.0, 0.0, 0.0], "tolerance_mm": None}
     nothing = {"q_nominal": None, "q_compensated": None, "uncertainty_mm": None, "verdict": ""}
     expected = {**place, **nothing}
@@ -209,7 +210,7 @@ def test_both_arms_of_a_cooperative_target_hold_it(run: RunFile, model: CellMode
         assert one.conditions.other_q is not None
         np.testing.assert_allclose(one.conditions.other_q[0], other.q_compensated, atol=5e-4, err_msg="but for play")
     assert reached >= 4
-    records = compensate_result(commands).targets
+    records = [command_record(one) for one in commands]
     assert {entry.partner for entry in records} == {"", "left", "right"}
 
 

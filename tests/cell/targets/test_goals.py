@@ -15,8 +15,9 @@ from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.exports.arm_export import lost_by, workspace
 from cellapp.cell.planning.plan import plan_stops
 from cellapp.cell.run import RunFile
-from cellapp.cell.targets.compensate import compensate, compensate_result
+from cellapp.cell.targets.compensate import compensate
 from cellapp.cell.targets.goals import work_frame_pose
+from cellapp.cell.targets.prediction import command_record
 from cellapp.cell.targets.records import VerifyResult
 from cellapp.cell.targets.targets import FramePoint, WorkFrame, load_targets, same_target
 from cellapp.commands.calibrate.run import calibrate_run
@@ -144,7 +145,7 @@ def test_verdicts_follow_the_one_rule(run: RunFile, model: CellModel) -> None:
     tight = [LEFT[0].model_copy(update={"orientation_tolerance": limit}) for limit in (5e-3, 5e-5)]
     named = [one.model_copy(update={"name": f"t{k}"}) for k, one in enumerate(tight)]
     named.append(LEFT[0].model_copy(update={"name": "free", "rpy": None, "orientation_tolerance": None}))
-    found = compensate_result(compensate(run.profile, model, named)).targets
+    found = [command_record(one) for one in compensate(run.profile, model, named)]
     rotations = [one.orientation for one in found]
     assert rotations[0] is not None
     assert rotations[1] is not None

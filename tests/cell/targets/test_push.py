@@ -19,8 +19,8 @@ from cellapp.cell.driving.motion import Mover
 from cellapp.cell.driving.target_visit import push
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import home_positions
-from cellapp.cell.targets.compensate import compensate, compensate_result
-from cellapp.cell.targets.prediction import Command
+from cellapp.cell.targets.compensate import compensate
+from cellapp.cell.targets.prediction import Command, command_record
 from cellapp.cell.targets.records import ArmVerification, CompensateResult, VerifyResult
 from cellapp.cell.targets.targets import Target, load_targets, same_target
 from cellapp.commands.compensate.tables import predicted_tables, verification_tables
@@ -169,7 +169,7 @@ def test_tolerances_are_predicted_measured_and_complained_about(run: RunFile, mo
     sizes = (2e-3, 1e-6, None)
     targets = [target.model_copy(update={"tolerance": size}) for target, size in zip(TARGETS, sizes)]
     commands = compensate(run.profile, model, (*targets, FAR.model_copy(update={"tolerance": 1e-3})))
-    predicted = compensate_result(commands)
+    predicted = CompensateResult(targets=tuple(map(command_record, commands)))
     wide, narrow, none, far = predicted.targets
     assert wide.uncertainty_mm is not None
     assert 0.0 < wide.uncertainty_mm < 0.1
@@ -193,7 +193,7 @@ def test_tolerances_are_predicted_measured_and_complained_about(run: RunFile, mo
 
 def test_results_of_earlier_versions_are_read(run: RunFile, commands: tuple[Command, ...]) -> None:
     new = {"position", "rpy", "tolerance_mm", "uncertainty_mm", "verdict"}
-    content = json.loads(compensate_result(commands[:2]).to_json())
+    content = json.loads(CompensateResult(targets=tuple(map(command_record, commands[:2]))).to_json())
     content["targets"] = [
         {key: value for key, value in target.items() if key not in new} for target in content["targets"]
     ]
