@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.cell.run.csv_text import NUMBER, WHOLE, CsvTable, Problems, short, unquoted_text
-from cellapp.estimation.readings.columns import COLUMNS, CONFIGURATION, Column, Values, beyond_limits
-from cellapp.estimation.readings.readings import Readings, readings_from_columns
+from cellapp.estimation.readings.columns import COLUMNS, CONFIGURATION, Column, beyond_limits
+from cellapp.estimation.readings.readings import Readings
 
 _NOT_NUMBERS = re.compile(r"[^0-9.eE+\- ]")
 """Characters that no number has: one search over all cells of a column is much faster than one per cell."""
@@ -139,7 +139,7 @@ def read_arm(cells: ArmCells, arm: str, joints: int, limits: NDArray[np.float64]
     words = {column.name: cells.words(column) for column in COLUMNS if column.dtype is str}
     if problems.count > before:
         return None
-    values: dict[str, Values | None] = {**words}
+    values: dict[str, Any] = {**words}
     for name, (column, matrix) in matrices.items():
         if matrix is not None:
             cells.check(column, matrix, joints, limits)
@@ -149,7 +149,7 @@ def read_arm(cells: ArmCells, arm: str, joints: int, limits: NDArray[np.float64]
     if problems.count > before:
         return None
     extras = {name: tuple(map(unquoted_text, cells.texts(name))) for name in cells.table.names if not is_known(name)}
-    return readings_from_columns(values, extras)
+    return Readings(**values, extras=extras)
 
 
 def _check_joint_columns(cells: ArmCells, arm: str, joints: int) -> None:

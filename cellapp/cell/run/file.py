@@ -58,7 +58,7 @@ from cellapp.cell.run.sqlite_file import (
 )
 from cellapp.cell.run.stations import in_one_frame, select_stations
 from cellapp.estimation.readings.columns import COLUMNS, OF_SEVERAL, OF_SOCKETS, SPLITS, Column, Values
-from cellapp.estimation.readings.readings import Readings, readings_from_columns
+from cellapp.estimation.readings.readings import Readings
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.grouping import grouped
@@ -93,14 +93,14 @@ def select_readings(
         f"SELECT {', '.join(wanted)} FROM {table} WHERE arm = ? ORDER BY configuration, rowid", (arm,)
     ).fetchall()
     columns = list(zip(*rows, strict=True)) if rows else [()] * len(wanted)
-    values = {
+    values: dict[str, Any] = {
         column.name: _from_cells(column, cells, len(rows), joints)
         for column, cells in zip(COLUMNS, columns, strict=False)
     }
     extras = _extras_from_cells(columns[-1])
     for name, cells in zip(former, columns[len(COLUMNS) :], strict=False):
         extras |= _unread_from_cells(FORMER_COLUMNS[name], cells, joints)
-    return readings_from_columns(values, extras)
+    return Readings(**values, extras=extras)
 
 
 def former_arrays(readings: Readings) -> dict[str, NDArray[np.float64]]:
@@ -440,7 +440,8 @@ class RunFile:
                 f"{self.path}: arm '{arm}': {reason}; 'cellapp show {word}' and 'cellapp export {word} --csv FILE'"
                 " still open this run"
             )
-        return self._in_one_frame(self.rows(arm))
+        with self.look() as connection:
+            return in_one_frame(self.rows(arm), select_stations(connection))
 
     def rows(self, arm: str) -> Readings:
         """Return all rows of one arm as measured or imported, ordered by configuration."""
@@ -456,12 +457,6 @@ class RunFile:
         for since, column, asked in ((8, OF_SEVERAL, several), (7, OF_SOCKETS, in_sockets)):
             found |= dict.fromkeys((arm for (arm,) in self._select(asked, since)), removed_readings(column))
         return found
-
-    def _in_one_frame(self, readings: Readings) -> Readings:
-        if readings.station is None:
-            return readings
-        with self.look() as connection:
-            return in_one_frame(readings, select_stations(connection))
 
     def split_counts(self) -> dict[str, dict[str | None, int]]:
         """Count the readings of each arm that has some, by split; None is no split."""

@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from cellapp.estimation.readings.columns import COLUMNS, CONFIGURATION, Values
+from cellapp.estimation.readings.columns import COLUMNS, CONFIGURATION
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import NotConverged
 from cellapp.robot.kinematics.transforms import Array, quaternions_of, twist_columns
@@ -178,12 +178,6 @@ class Readings:
         """Return the indices of the rows of some splits, one split after the other; empty if none are assigned."""
         split = self.split or ()
         return np.array([index for name in names for index, word in enumerate(split) if word == name], dtype=np.intp)
-
-
-def readings_from_columns(values: Mapping[str, Values | None], extras: dict[str, tuple[str, ...]]) -> Readings:
-    """Build readings from the values of every column of ``COLUMNS`` by name."""
-    attributes: dict[str, Any] = dict(values)
-    return Readings(**attributes, extras=extras)
 
 
 def joined(parts: Sequence[Readings]) -> Readings:
