@@ -24,7 +24,6 @@ from cellapp.commands.certificate.run import certify
 from cellapp.commands.certificate_result import CertificateResult
 from cellapp.commands.check import request as check
 from cellapp.commands.check.locate import locate_run as locate_asked
-from cellapp.commands.check.location import LocateResult
 from cellapp.commands.check.run import check_run as check_asked
 from cellapp.commands.collect.request import CollectRequest
 from cellapp.commands.collect.run import collect_planned
@@ -39,7 +38,7 @@ from cellapp.commands.record import Work
 from cellapp.commands.report.request import ReportRequest
 from cellapp.commands.report.run import run as report
 from cellapp.commands.run_results import ReportResult
-from cellapp.estimation.monitoring.records import CheckResult
+from cellapp.estimation.monitoring.records import CheckResult, LocateResult
 from cellapp.ground.control import JobControl
 from cellapp.ground.outputs import NEW_ONLY, Outputs
 from cellapp.ground.profile import Profile

@@ -14,13 +14,12 @@ from cellapp.cell.run.file import RunFile
 from cellapp.cell.targets.path import PathResult
 from cellapp.cell.targets.records import CompensateResult, TargetCommand, VerifyResult
 from cellapp.commands.certificate_result import CertificateResult
-from cellapp.commands.check.location import LocateResult
 from cellapp.commands.stages import RunStages, read_stages
 from cellapp.commands.stored_model import joined_calibration
 from cellapp.estimation.calibration.records import CalibrateResult, PairMethodResult
 from cellapp.estimation.discovery.records import DiscoverResult
 from cellapp.estimation.iso9283.records import Iso9283Result
-from cellapp.estimation.monitoring.records import CheckResult
+from cellapp.estimation.monitoring.records import CheckResult, LocateResult
 from cellapp.estimation.uncertainty.budget import BudgetEvidence, MeasuredConditions
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import CALIBRATE, DISCOVER, STAGE_NAMES, Method, Result, StageName

@@ -27,7 +27,6 @@ from cellapp.cell.targets.ranges import ConditionRanges
 from cellapp.cell.targets.records import MeasuredTarget, VerifyResult
 from cellapp.cell.targets.targets import Target
 from cellapp.commands.calibrate.run import calibrate_run
-from cellapp.commands.check.location import LocateVerdict
 from cellapp.commands.discover.run import discover_run
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.commands.stages import read_stages
@@ -35,6 +34,7 @@ from cellapp.commands.stored_model import model_of, stage_in_force
 from cellapp.commands.trials.blind import with_hidden
 from cellapp.estimation.calibration.least_squares import NORMAL_95
 from cellapp.estimation.calibration.pair_calibration import distances
+from cellapp.estimation.monitoring.records import LocateVerdict
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Pose, Profile
 from cellapp.ground.results import CALIBRATE

@@ -11,7 +11,6 @@ from cellapp.cell.driving.locate import LocatedStation, LocateTask, locate_stati
 from cellapp.cell.driving.requests import running_job
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.recordings import known_readings
-from cellapp.commands.check.location import LocatedPoint, LocateResult, StationPose
 from cellapp.commands.check.request import CheckRequest
 from cellapp.commands.check.station import excess_of_readings, last_location, profile_at_station
 from cellapp.commands.confirm import confirmation
@@ -19,6 +18,7 @@ from cellapp.commands.record import Work
 from cellapp.commands.stages import CALIBRATION_FILE, RunStages, StoredStage, append_stage, basis_on_model, read_stages
 from cellapp.commands.stored_model import append_with_model, arms_stage, model_of
 from cellapp.estimation.calibration.station_location import displacement_m
+from cellapp.estimation.monitoring.records import LocatedPoint, LocateResult, StationPose
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Pose, Profile
 from cellapp.ground.results import LOCATE

@@ -18,7 +18,6 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.run.recordings import known_readings
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.commands.check.locate import locate_run, typed_pose
-from cellapp.commands.check.location import LocateResult
 from cellapp.commands.check.request import CheckRequest
 from cellapp.commands.check.station import excess_of_readings, profile_at_station
 from cellapp.commands.confirm import confirmation
@@ -28,7 +27,14 @@ from cellapp.commands.stored_model import arms_stage, model_of, stage_in_force
 from cellapp.estimation.calibration.station_location import predicted_points
 from cellapp.estimation.monitoring.belief import CheckBelief, check_belief
 from cellapp.estimation.monitoring.causes import Design
-from cellapp.estimation.monitoring.records import CHANGES_OF_ARMS, CheckedPoint, CheckedStop, CheckResult, CheckVerdict
+from cellapp.estimation.monitoring.records import (
+    CHANGES_OF_ARMS,
+    CheckedPoint,
+    CheckedStop,
+    CheckResult,
+    CheckVerdict,
+    LocateResult,
+)
 from cellapp.estimation.monitoring.sequential import SequentialTest, choose_stops, design_of
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError

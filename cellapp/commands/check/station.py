@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 from cellapp.cell.run import RunFile
-from cellapp.commands.check.location import LocateResult
 from cellapp.commands.stages import RunStages, read_history, read_stages, tracker_moved
 from cellapp.commands.stored_model import read_calibration
 from cellapp.estimation.calibration.least_squares import mean_variance
+from cellapp.estimation.monitoring.records import LocateResult
 from cellapp.estimation.readings.readings import stated_uncertainty
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Pose, Profile

@@ -6,13 +6,12 @@ import math
 
 import numpy as np
 
-from cellapp.commands.check.location import LocateResult
 from cellapp.commands.check.request import CheckRequest
 from cellapp.commands.record import View
 from cellapp.commands.view.charts import Axis, Chart, Limit, series
 from cellapp.commands.view.parts import Part
 from cellapp.commands.view.table import Cell, Table, columns_of, table_of, with_rows
-from cellapp.estimation.monitoring.records import TRACKER, CheckedStop, CheckResult, FoundChange
+from cellapp.estimation.monitoring.records import TRACKER, CheckedStop, CheckResult, FoundChange, LocateResult
 from cellapp.ground.counting import counted, mm, plain
 
 _VERDICTS = {

@@ -21,7 +21,6 @@ from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.safety.gate import refuse_motion
 from cellapp.cell.targets.targets import load_targets
 from cellapp.commands.check.locate import typed_pose
-from cellapp.commands.check.location import LocateResult
 from cellapp.commands.check.station import excess_of_readings
 from cellapp.commands.check.view import location_sentences, location_tables
 from cellapp.commands.run_results import read_results
@@ -29,6 +28,7 @@ from cellapp.commands.show.overview import run_overview
 from cellapp.commands.stages import CALIBRATION_FILE, read_stages
 from cellapp.commands.stored_model import model_of, stage_in_force
 from cellapp.estimation.monitoring.belief import SequentialState
+from cellapp.estimation.monitoring.records import LocateResult
 from cellapp.estimation.readings import Readings
 from cellapp.ground.control import JobControl, Stopped
 from cellapp.ground.errors import HardwareError, InputError

@@ -18,7 +18,6 @@ from textual.worker import get_current_worker
 
 from cellapp.cell.programs.records import CorrectResult
 from cellapp.cell.targets.targets import Target, list_problems, load_targets
-from cellapp.commands.check.location import LocateResult
 from cellapp.commands.check.request import STOPS_TO_LOCATE
 from cellapp.commands.check.request import VERB as CHECK
 from cellapp.commands.compensate.charts import target_charts
@@ -38,6 +37,7 @@ from cellapp.commands.compensate.words import compensate_summary, unknown_lines,
 from cellapp.commands.docs.keys import SHOWN
 from cellapp.commands.push.request import VERB as PUSH
 from cellapp.commands.view.parts import Part
+from cellapp.estimation.monitoring.records import LocateResult
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
