@@ -223,14 +223,9 @@ def _judgements(data: ReportData) -> Section | None:
 def _accuracy(data: ReportData) -> Section:
     calibrate = data.calibrate
     return Section(
-        [
-            *_absent_stages(data),
-            *accuracy_charts(data),
-            *detailed_tables(calibrate),
-            *motion_sentences(calibrate),
-            Section([*_terms(calibrate)], folded=True, title="Terms: models, errors, noise floor"),
-        ],
+        [*accuracy_charts(data), *detailed_tables(calibrate), *motion_sentences(calibrate)],
         message=_accuracy_message(data),
+        about=_accuracy_about(calibrate),
     )
 
 
@@ -242,46 +237,17 @@ def accuracy_charts(data: ReportData) -> Iterator[Chart]:
         yield pair_stop_chart(data.calibrate)
 
 
-def _absent_stages(data: ReportData) -> Iterator[str]:
-    """Say why a stage is not drawn."""
-    for name, held_out in data.held_out.items():
-        if "geometry" not in held_out.errors_mm:
-            yield (
-                f"Charts of arm {name} have no models of later stages: the older version of cellapp that calibrated did"
-                " not store them."
-            )
-        elif "effects" not in held_out.errors_mm:
-            yield f"Charts of arm {name} have no effects: {_why_no_effects(data)}."
-
-
-def _why_no_effects(data: ReportData) -> str:
-    if data.discover is not None:
-        return "none was found"
-    return "not searched for yet" if data.results.discover is None else "the search is out of date"
-
-
-def _terms(calibrate: CalibrateResult) -> Iterator[str]:
-    yield (
-        "All errors are those of held-out configurations: measured like the others, but not used by the calibration."
-        " Nominal is the geometry of the manufacturer, with base and SMR registered to the readings; geometry has the"
-        " identified lengths and angles of this arm; network adds a residual network in the robot's base frame; effects"
-        " adds the physical effects that discovery accepted instead. The noise floor is the error that the stated"
-        " uncertainty of the tracker alone would cause. The position error is the distance of the computed SMR from the"
-        " measured one; the distance error is the error of the distance between two positions of one arm (ISO 9283)."
-    )
+def _accuracy_about(calibrate: CalibrateResult) -> str:
+    """Say what the rows and columns are, and what the noise floor is."""
     tracker = _tracker_words(calibrate)
-    yield 'All errors in mm; "95 %" is a percentile, "95 % of mean" is the bootstrap interval of the mean. ' + (
-        '"rms / tracker" is the rms error divided by the rms error that the stated uncertainty of the tracker alone'
-        f" would cause ({tracker}); at 1 the tracker cannot resolve any further improvement."
-        if tracker
-        else "The readings state no uncertainty: there is no noise floor to compare with."
+    floor = f"the error that the stated uncertainty of the tracker alone would cause ({tracker})"
+    return (
+        "Nominal is the geometry of the manufacturer, geometry has the identified lengths and angles, network adds a"
+        ' residual network, effects adds the physical effects that discovery accepted instead. "95 %" is a percentile,'
+        ' "95 % of mean" the bootstrap interval of the mean. '
+        + (f"The noise floor is {floor}." if tracker else "The readings state no uncertainty: there is no noise floor.")
+        + " 'cellapp docs glossary' explains the errors."
     )
-    if calibrate.pair:
-        yield (
-            "Cooperative error: error of the computed distance between the two arms' SMRs at one stop, in mrad the"
-            " angle by which the computed rotation of one flange in the other's frame is off. \"Network in the"
-            " tracker frame\" is the paper's counter-example: what was learned there is added in the base frame."
-        )
 
 
 def _tracker_words(calibrate: CalibrateResult) -> str:
