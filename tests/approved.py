@@ -70,7 +70,6 @@ def _lines(part: object) -> Iterator[str]:
             ends = "" if not len(one.y) else f", {np.nanmin(one.y):.3g} to {np.nanmax(one.y):.3g}"
             yield f"  {one.kind} {one.name}: {len(one.y)}{ends}{', band' if one.band is not None else ''}"
         yield from (f"  limit {one.name}: {one.value:.4g}" for one in part.limits)
-        yield from ([f"  categories {', '.join(part.categories)}"] if part.categories else [])
         yield f"  {part.message}"
     else:
         yield str(part)

@@ -222,7 +222,7 @@ def test_a_run_keeps_it_and_its_report_shows_it(
         section = detectability_section(run)
     assert section is not None
     assert "blind trials" in section.message
-    assert len(section.parts) == 2 * len(result.arms)
+    assert len(section.parts) == len(result.arms)
 
 
 def test_a_run_without_a_plan_is_refused(tmp_path: Path) -> None:

@@ -30,8 +30,8 @@ from cellapp.commands.plan.run import (
     extend_plan,
     plan_around_file,
     plan_from_file,
+    planned_stops,
     replan,
-    stored_plan,
 )
 from cellapp.commands.show.overview import run_overview
 from cellapp.estimation.readings import Readings
@@ -139,7 +139,7 @@ def test_a_run_without_a_plan_cannot_be_exported_extended_or_planned_again(tmp_p
         for act in (lambda: export_plan(run, tmp_path / "plan.csv"), lambda: extend_plan(run, 3), lambda: replan(run)):
             with pytest.raises(InputError, match="the run has no plan"):
                 act()
-        assert stored_plan(run).stops == ()
+        assert planned_stops(run).stops == ()
     assert not (tmp_path / "plan.csv").exists()
 
 

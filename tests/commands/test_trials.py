@@ -20,7 +20,7 @@ from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.commands.trials.blind import beyond_geometry
 from cellapp.commands.trials.judge import TRIAL_RESULT, judge_run, judge_trials, score_run, source_digest
-from cellapp.commands.trials.scoring import ArmFindings, JudgeResult, NoiseLengths, ScoredRun, scores
+from cellapp.commands.trials.scoring import ArmFindings, JudgeResult, NoiseLengths, ScoredRun, judge_tables, scores
 from cellapp.commands.trials.sealed import DescribedTerm, GroundTruth, HiddenLaw, check_seal, open_truth, seal_trials
 from cellapp.commands.trials.sealed_setup import CONFOUNDED, EXPECTED, PAIRS, TRIPLES, Setup, cases, library_name
 from cellapp.estimation.discovery.records import BeforeAfter
@@ -435,15 +435,16 @@ def test_targets_and_misses_are_as_approved() -> None:
         ]
     )
     said = [f"{one.target}: {one.reached} of {one.n}, {one.met}" for one in result.targets]
-    said += [f"missed: {miss.hidden.split(' (')[0] or 'nothing'}; found {miss.found}" for miss in result.misses]
+    misses = next(table for table in judge_tables(result) if table.title == "Misses").rows
+    said += [f"missed: {str(hidden).split(' (')[0]}; found {found}" for _, hidden, found, *_ in misses]
     assert_approved(SCORES.with_name("targets.txt"), "\n".join(said))
     assert result.missed == (), "too few trials to say so"
-    to_drawn = result.one["backlash"].visible.heldout_to_drawn
-    assert to_drawn is not None
-    assert to_drawn.max == pytest.approx(1.6)
-    assert result.one["tracker_scale"].below.none == 1
-    assert result.none["arm beside one that hides something"].false_names == 1
-    assert result.outside["tool_sag"].false_names == 1
+    assert max(run.findings.to_drawn for run in result.trials if run.hidden_names == "backlash") == pytest.approx(1.6)
+    outcomes = {one.hidden: one.outcomes for one in result.counts}
+    assert outcomes["tracker_scale, below"] == {"none": 1}
+    assert outcomes["nothing, beside an arm that hides something"] == {"none": 6, "false name": 1}
+    assert outcomes["tool_sag"] == {"wrong": 1}
+    assert outcomes["crosstalk"] == {"described": 1}
 
 
 def test_few_clean_arms_meet_no_target_and_many_do() -> None:

@@ -21,23 +21,18 @@ from cellapp.commands.view.charts import (
     Axis,
     Chart,
     Key,
-    Series,
-    bar_chart,
     drawable_mm,
-    error_counts,
     evenly_spread,
     noise_limit,
     series,
 )
 from cellapp.commands.view.words import METHOD_WORDS, STAGE_WORDS
-from cellapp.estimation.calibration.records import ArmCalibrationResult, CalibrateResult, PairHeldOut
+from cellapp.estimation.calibration.records import CalibrateResult, PairHeldOut
 from cellapp.ground.counting import counted, mm
 from cellapp.ground.results import STAGES, Method
 from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.kinematics.transforms import Array, apply, invert
 
-_BINS_A_ROOT = 2.0
-"""Bins of a histogram per square root of the number of errors: 100 errors of four stages fill 20 bins."""
 _METHOD_STYLES: Mapping[Method, int] = {"method_1": 1, "method_2": 4, "proposed": 2, "effects": 3}
 """Styles of the methods of the pair: each has the style of the stage that it builds on."""
 _CURVE = 30
@@ -45,72 +40,10 @@ _CURVE = 30
 _NO_HELD_OUT = "No held-out readings: calibrate first."
 
 
-def stage_chart(name: str, arm: ArmCalibrationResult) -> Chart:
-    """Show the held-out rms position error of each stage as bars."""
-    rms = {stage: arm.validate_[stage].position_mm.rms for stage in STAGES if stage in arm.validate_}
-    message = _NO_HELD_OUT
-    if rms:
-        first, last = next(iter(rms)), list(rms)[-1]
-        message = f"Held-out rms error: {mm(rms[first])} {STAGE_WORDS[first]}, {mm(rms[last])} {STAGE_WORDS[last]}."
-        if arm.tracker_mm:
-            message += f" The tracker's own noise is {mm(arm.tracker_mm)}."
-    bars = {STAGE_WORDS[stage]: (value, mm(value)) for stage, value in rms.items()}
-    return bar_chart(f"Arm {name}: held-out error by stage", bars, Axis("rms", "mm"), message)
-
-
-# -- histograms -------------------------------------------------------------------------------------------------------
-
-
-def error_histogram_chart(name: str, errors_mm: Mapping[str, Array], floor_mm: float | None) -> Chart:
-    """Show a histogram of the held-out position errors (n,) [mm] by stage, with the noise floor."""
-    errors: dict[str, Array] = {stage: errors_mm[stage] for stage in STAGES if stage in errors_mm}
-    x = Axis("position error", "mm", logarithmic=True)
-    return _histogram(f"Arm {name}: held-out errors", x, errors, STAGE_STYLES, STAGE_WORDS, floor_mm)
-
-
 def pair_held_out(calibrate: CalibrateResult) -> dict[Method, PairHeldOut]:
     """Return the errors of the held-out stops by method of the pair, for methods that stored them by stop."""
     found = {method: calibrate.pair[method].held_out for method in _METHOD_STYLES if method in calibrate.pair}
     return {method: stops for method, stops in found.items() if stops is not None}
-
-
-def pair_histogram_chart(calibrate: CalibrateResult) -> Chart:
-    """Show a histogram of the cooperative errors by method, with the error by the tracker's noise alone."""
-    errors = {method: np.array(stops.cooperative_mm) for method, stops in pair_held_out(calibrate).items()}
-    x = Axis("cooperative error", "mm", logarithmic=True)
-    floor_mm = cooperative_noise_mm(calibrate)
-    return _histogram("Pair: held-out errors", x, errors, _METHOD_STYLES, METHOD_WORDS, floor_mm)
-
-
-def _histogram(
-    title: str,
-    x: Axis,
-    errors_mm: Mapping[Key, Array],
-    style: Mapping[Key, int],
-    words: Mapping[Key, str],
-    floor_mm: float | None,
-) -> Chart:
-    """Show the outlines of several histograms; ``style`` and ``words`` give their styles and names in the message."""
-    y = Axis("configurations")
-    errors = {key: finite for key, values in errors_mm.items() if len(finite := values[np.isfinite(values)])}
-    if not errors:
-        return Chart(title, x, y, (), _NO_HELD_OUT)
-    every = drawable_mm(np.concatenate([*errors.values(), [floor_mm] if floor_mm else []]))
-    bins = math.ceil(_BINS_A_ROOT * math.sqrt(max(len(values) for values in errors.values())))
-    edges, counts = error_counts(errors, float(every.min()) / 1.25, float(every.max()) * 1.25, bins)
-    drawn = tuple(_outline(key, edges, count, style[key]) for key, count in counts.items())
-    ends = [next(iter(errors)), list(errors)[-1]][: len(errors)]
-    medians = [f"{mm(float(np.median(errors[key])))} ({words[key]})" for key in ends]
-    message = f"Median error: {', '.join(medians)}." + (f" The noise floor is {mm(floor_mm)}." if floor_mm else "")
-    return Chart(title, x, y, drawn, message, noise_limit(floor_mm, "x"), by_stage=True)
-
-
-def _outline(name: str, edges: Array, counts: NDArray[np.intp], style: int) -> Series:
-    """Return the outline of a histogram from its first to its last used bin."""
-    used = np.flatnonzero(counts)
-    first, last = int(used[0]), int(used[-1]) + 1
-    x = [edges[first], *edges[first : last + 1]]
-    return series(name, x, [0.0, *counts[first:last], 0.0], "steps", style=style)
 
 
 # -- errors stop by stop ----------------------------------------------------------------------------------------------

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 
 from cellapp.commands.calibrate.view import MM, batches_words
@@ -10,7 +9,6 @@ from cellapp.commands.view.table import Cell, Number, Table, columns_of
 from cellapp.commands.view.words import METHOD_WORDS, geometry_unit
 from cellapp.estimation.calibration.records import ArmCalibrationResult, CalibrateResult, NetworkResult, NetworkTrial
 from cellapp.ground.results import METHODS
-from cellapp.robot.model import CellModel
 
 
 def pair_tables(calibrate: CalibrateResult) -> list[Table]:
@@ -97,13 +95,3 @@ def _network_shape(network: NetworkResult | NetworkTrial) -> str:
     ]
     turning = ", rotating with joint 1" if network.turning else ""
     return f"{inputs}, {' + '.join(str(width) for width in network.hidden)}{turning}"
-
-
-def base_table(model: CellModel) -> Table:
-    """Show positions of the bases in the tracker frame."""
-    columns = columns_of("arm", *((axis, ".5f") for axis in "xyz"), ("distance from the tracker", ".3f"))
-    rows = []
-    for name, arm in model.arms.items():
-        x, y, z = arm.geometry.T_M_B()[:3, 3].tolist()
-        rows.append((name, x, y, z, math.hypot(x, y, z)))
-    return Table("Bases in the tracker frame [m]", columns, tuple(rows))

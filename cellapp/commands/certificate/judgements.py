@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import scipy
@@ -49,6 +49,8 @@ from cellapp.ground.profile.sections import Tolerances
 from cellapp.ground.results import CALIBRATE, ISO9283, VERIFY, ErrorSummary, StageName, best_method
 
 Budget = Sequence[UncertaintyContribution]
+_ROTATIONS: tuple[Characteristic, ...] = ("orientation", "cooperative_orientation")
+"""Characteristics in mrad; all others are in mm."""
 
 
 @dataclass(frozen=True)
@@ -156,9 +158,6 @@ def _rotated(
     probed: bool,
 ) -> Iterator[Judgement]:
     """Yield the judgement of an arm's orientation, or of one flange in the other's frame, if it has a tolerance."""
-    limit, rule = getattr(profile.tolerances, characteristic), profile.tolerances.decision
-    if limit is None:
-        return
     angles = [its.final_mrad for one in measured if (its := one.orientation) and its.final_mrad is not None]
     value = max(angles, default=None)
     if angles:
@@ -170,20 +169,8 @@ def _rotated(
         source = f"not measured: {'the' if len(arms) == 1 else 'a'} flange has no 6-D probe (smr.probe)"
     budgets = [orientation_budget(profile, results, arm) for arm in arms]
     expanded = None if value is None or not all(budgets) else expanded_mrad([one for own in budgets for one in own])
-    yield Judgement(
-        characteristic=characteristic,
-        where=_both(arms),
-        value_mm=None,
-        expanded_mm=None,
-        tolerance_mm=None,
-        value_mrad=value,
-        expanded_mrad=expanded,
-        tolerance_mrad=limit * 1e3,
-        rule=rule,
-        conformity=conformity(value, expanded, limit * 1e3, rule),
-        source=source,
-        n=len(angles),
-    )
+    judged = _judgement(profile.tolerances, characteristic, _both(arms), value, expanded, source, len(angles))
+    yield from () if judged is None else (judged,)
 
 
 def orientation_budget(profile: Profile, results: RunResults, arm: str) -> tuple[AngleContribution, ...]:
@@ -217,23 +204,40 @@ def _iso(profile: Profile, results: RunResults) -> list[Judgement | None]:
 
 def _judged(tolerances: Tolerances, one: _Measured) -> Judgement | None:
     """Judge the largest error; None if the profile gives no tolerance."""
-    limit: float | None = getattr(tolerances, one.characteristic)
-    if limit is None:
-        return None
     value = max(one.errors_mm, default=None)
     expanded = expanded_mm(one.budget) if value is not None else None
     missing = not_given(one.budget) if value is not None else []
     unknown = f"; uncertainty not known, as not given: {', '.join(missing)}" if missing else ""
+    source, n = one.source + unknown, len(one.errors_mm)
+    return _judgement(tolerances, one.characteristic, one.where, value, expanded, source, n)
+
+
+def _judgement(
+    tolerances: Tolerances,
+    characteristic: Characteristic,
+    where: str,
+    value: float | None,
+    expanded: float | None,
+    source: str,
+    n: int,
+    *,
+    enough: bool = True,
+) -> Judgement | None:
+    """Judge one error [mm], of an orientation [mrad], if it was measured often ``enough``; None without a tolerance."""
+    limit: float | None = getattr(tolerances, characteristic)
+    if limit is None:
+        return None
+    tolerance, unit = limit * 1e3, "mrad" if characteristic in _ROTATIONS else "mm"
+    figures: dict[str, Any] = dict.fromkeys(("value_mm", "expanded_mm", "tolerance_mm"))
+    figures |= {f"value_{unit}": value, f"expanded_{unit}": expanded, f"tolerance_{unit}": tolerance}
     return Judgement(
-        characteristic=one.characteristic,
-        where=one.where,
-        value_mm=value,
-        expanded_mm=expanded,
-        tolerance_mm=limit * 1e3,
+        characteristic=characteristic,
+        where=where,
         rule=tolerances.decision,
-        conformity=conformity(value, expanded, limit * 1e3, tolerances.decision),
-        source=one.source + unknown,
-        n=len(one.errors_mm),
+        conformity=conformity(value, expanded, tolerance, tolerances.decision) if enough else "not decided",
+        source=source,
+        n=n,
+        **figures,
     )
 
 
@@ -382,28 +386,15 @@ def _judged_characteristic(
     tolerances: Tolerances, where: str, kind: IsoCommands, found: list[FoundValue], cycles: int
 ) -> Iterator[Judgement]:
     for characteristic in dict.fromkeys(one.characteristic for one in found):
-        tolerance_m = getattr(tolerances, characteristic)
-        if tolerance_m is None:
-            continue
         own = [one for one in found if one.characteristic == characteristic]
         worst = max(own, key=lambda one: abs(one.value.value_mm))
         test = TEST_OF.get(characteristic, "cooperative")
         asked, n = wanted_cycles(test, cycles), min(one.value.n for one in own)
         norm = NORM_CYCLES[test]
-        value = abs(worst.value.value_mm)
         enough = n >= min(asked, norm)
-        expanded = worst.value.expanded_mm
-        yield Judgement(
-            characteristic=characteristic,
-            where=where,
-            value_mm=value,
-            expanded_mm=expanded,
-            tolerance_mm=tolerance_m * 1e3,
-            rule=tolerances.decision,
-            conformity=conformity(value, expanded, tolerance_m * 1e3, tolerances.decision) if enough else "not decided",
-            source=_source(worst, kind, n, norm, enough=enough),
-            n=n,
-        )
+        figures = abs(worst.value.value_mm), worst.value.expanded_mm, _source(worst, kind, n, norm, enough=enough), n
+        judged = _judgement(tolerances, characteristic, where, *figures, enough=enough)
+        yield from () if judged is None else (judged,)
 
 
 def _source(worst: FoundValue, kind: IsoCommands, n: int, norm: int, *, enough: bool) -> str:

@@ -15,7 +15,7 @@ from cellapp.cell.run.csv_export import write_recordings_csv
 from cellapp.cell.run.recordings import all_known_readings, recording_states
 from cellapp.cell.run.run_arms import recorded_controllers
 from cellapp.commands.certificate.request import CertificateRequest
-from cellapp.commands.certificate.statement import CertificateInput, certificate_of
+from cellapp.commands.certificate.statement import certificate_of
 from cellapp.commands.certificate_result import CertificateResult
 from cellapp.commands.record import Work
 from cellapp.commands.run_results import read_results
@@ -87,25 +87,24 @@ def certify(run: RunFile, request: CertificateRequest, work: Work, now: datetime
         certified = _certified_files(run, stages, request.data, made)
         written_at = now or datetime.now(UTC)
         rests_on = {name: _sum(made / name) for name in certified}
-        given = CertificateInput(
+        result = certificate_of(
+            profile,
+            read_results(run, stages),
+            measured_conditions(all_known_readings(run)),
+            recorded_controllers(run),
+            _times_of_measuring(run, stages),
+            program_of(profile),
             number=_checked_number(request.number) or _new_number(run, profile, written_at, basis),
             run=str(run.folder),
             issued=written_at.astimezone(UTC).isoformat(timespec="seconds"),
-            program=program_of(profile),
-            profile=profile,
-            results=read_results(run, stages),
-            conditions=measured_conditions(all_known_readings(run)),
-            controllers=recorded_controllers(run),
-            measured=_times_of_measuring(run, stages),
             rests_on=rests_on,
             files=(*shown, SUMS_FILE),
         )
-        result = certificate_of(given)
         RENEWED.write_text(made / CERTIFICATE_FILE, result.to_json(indent=1) + "\n")
         RENEWED.write_text(made / PAGE_FILE, work.certificate_page(result))
         sums = {**{name: _sum(made / name) for name in shown}, **rests_on}
         RENEWED.write_text(made / SUMS_FILE, "".join(f"{digest}  {name}\n" for name, digest in sums.items()))
-        written = (*certified, *given.files)
+        written = (*certified, *result.files)
         for name in written:
             allowed.check_file(folder / name)
         _make(folder / DATA_FOLDER)

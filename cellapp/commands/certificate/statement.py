@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from datetime import date
+from typing import Any
 
 from cellapp.cell.run.run_arms import ControllerIdentity
 from cellapp.cell.targets.records import ArmVerification, VerifyResult
@@ -45,62 +45,58 @@ _MOST_NAMED = 5
 """Most targets that a sentence names; further ones are counted."""
 
 
-@dataclass(frozen=True)
-class CertificateInput:
-    """All data that a certificate is made from.
+def certificate_of(
+    profile: Profile,
+    results: RunResults,
+    conditions: Mapping[str, MeasuredConditions],
+    controllers: Mapping[str, ControllerIdentity],
+    measured: tuple[str, ...],
+    program: str,
+    **stated: Any,
+) -> CertificateResult:
+    """State and judge what is known of a run, and name what is missing.
 
-    Attributes
+    Parameters
     ----------
     profile : Profile
         The run's profile, completed by what the operator gave.
     measured : tuple
         First and last time of measuring (ISO 8601, UTC); empty if not recorded.
+    stated
+        What the run does not say: number, folder, time of issue, and the files.
     """
-
-    number: str
-    run: str
-    issued: str
-    program: str
-    profile: Profile
-    results: RunResults
-    conditions: Mapping[str, MeasuredConditions]
-    controllers: Mapping[str, ControllerIdentity]
-    measured: tuple[str, ...]
-    rests_on: Mapping[str, str]
-    files: tuple[str, ...] = ()
-
-
-def certificate_of(given: CertificateInput) -> CertificateResult:
-    """State and judge what is known, and name what is missing."""
-    profile, results, stated = given.profile, given.results, given.profile.traceability
-    instruments = used_instruments(profile, given.measured)
+    given = profile.traceability
+    instruments = used_instruments(profile, measured)
     budgets = {
-        arm: position_budget(profile, arm, evidence_of(results, arm, given.conditions.get(arm))) for arm in profile.arms
+        arm: position_budget(profile, arm, evidence_of(results, arm, conditions.get(arm))) for arm in profile.arms
     }
     rotations = {arm: orientation_budget(profile, results, arm) for arm in profile.arms}
-    arms = {arm: _arm(given, arm, expanded_mm(budgets[arm]), expanded_mrad(rotations[arm])) for arm in profile.arms}
+    arms = {
+        arm: _arm(profile, results, arm, conditions, controllers).model_copy(
+            update={"expanded_mm": expanded_mm(budgets[arm]), "expanded_mrad": expanded_mrad(rotations[arm])}
+        )
+        for arm in profile.arms
+    }
     lines = [one.model_copy(update={"where": arm}) for arm, budget in budgets.items() for one in budget]
     return CertificateResult.like(
         given,
+        **stated,
+        program=program,
+        measured=measured,
         profile=profile.name,
-        organisation=stated.organisation,
-        location=stated.location,
-        operator=stated.operator,
-        client=stated.client,
-        method=f"{_METHOD} Computed by {given.program}.",
-        procedure=stated.procedure,
-        air_pressure_hpa=stated.air_pressure,
-        relative_humidity_percent=stated.relative_humidity,
+        method=f"{_METHOD} Computed by {program}.",
+        air_pressure_hpa=given.air_pressure,
+        relative_humidity_percent=given.relative_humidity,
         arms=arms,
         pair=_pair(results),
         instruments=instruments,
-        judgements=judge_run(profile, results, given.conditions),
+        judgements=judge_run(profile, results, conditions),
         contributions=tuple(lines),
         orientation_contributions=tuple(line for lines in rotations.values() for line in lines) or None,
         targets=_targets(results.verified),
         iso9283=_tests(results),
         limits=tuple(_limits(results, results.verified)),
-        missing=missing_data(profile, instruments, arms, given.conditions, given.measured, lines),
+        missing=missing_data(profile, instruments, arms, conditions, measured, lines),
         warnings=(
             *([f"{SIMULATED}: no real arm and no real tracker was measured"] if profile.is_simulated else []),
             *_unverified(profile, results),
@@ -114,22 +110,23 @@ def certificate_of(given: CertificateInput) -> CertificateResult:
 
 
 def _arm(
-    given: CertificateInput, arm: str, expanded_position_mm: float | None, expanded_rotation_mrad: float | None
+    profile: Profile,
+    results: RunResults,
+    arm: str,
+    conditions: Mapping[str, MeasuredConditions],
+    controllers: Mapping[str, ControllerIdentity],
 ) -> CertifiedArm:
-    stated = given.profile.traceability.arms.get(arm)
-    controller = given.controllers.get(arm)
-    conditions = given.conditions.get(arm, MeasuredConditions(readings=0))
+    """Return what identifies an arm, the conditions of its readings, and its errors."""
+    stated, controller = profile.traceability.arms.get(arm), controllers.get(arm)
     return CertifiedArm.like(
-        conditions,
-        type=given.profile.arms[arm].type.model,
+        conditions.get(arm, MeasuredConditions(readings=0)),
+        type=profile.arms[arm].type.model,
         serial="" if stated is None else stated.serial,
         asset="" if stated is None else stated.asset,
         controller_model="" if controller is None else controller.model,
         controller_serial="" if controller is None else controller.serial,
         controller_software="" if controller is None else controller.software,
-        errors=_errors(given.results, arm),
-        expanded_mm=expanded_position_mm,
-        expanded_mrad=expanded_rotation_mrad,
+        errors=_errors(results, arm),
     )
 
 

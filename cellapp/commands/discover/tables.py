@@ -7,7 +7,7 @@ from operator import itemgetter
 
 from cellapp.commands.view.table import Cell, Interval, Table, columns_of, table_of, with_rows, without_empty
 from cellapp.commands.view.words import interval_95, law_words, place_words, probability_words, short_reason
-from cellapp.estimation.discovery.records import AcceptedEffect, ArmDiscoveryResult, CycleBand, DiscoverResult
+from cellapp.estimation.discovery.records import AcceptedEffect, ArmDiscoveryResult, CycleBand
 from cellapp.ground.results import Estimate
 
 _MM = ".4f"
@@ -48,17 +48,6 @@ def noise_floor_words(arm: ArmDiscoveryResult) -> str:
     return "estimated noise floor" if estimated else "noise floor"
 
 
-def discovery_tables(result: DiscoverResult) -> list[Table]:
-    """Show each arm's accepted effects, its held-out error after each step, and sizes of effects."""
-    return with_rows(
-        *(
-            table
-            for name, arm in result.arms.items()
-            for table in (short_accepted_table(name, arm), numbered_steps_table(name, arm), *size_tables(name, arm))
-        )
-    )
-
-
 def _motion_table(name: str, arm: ArmDiscoveryResult) -> Table:
     """Show effects in recordings of motion beside the accepted ones."""
     accepted = {one.effect for one in arm.accepted}
@@ -85,7 +74,7 @@ def numbered_steps_table(name: str, arm: ArmDiscoveryResult) -> Table:
     )
 
 
-def short_accepted_table(name: str, arm: ArmDiscoveryResult) -> Table:
+def accepted_table(name: str, arm: ArmDiscoveryResult) -> Table:
     """Show accepted effects by their names in the handbook, with their probability and the error they explain."""
     return table_of(
         f"Arm {name}: accepted effects, held-out rms [mm]",
@@ -99,19 +88,14 @@ def short_accepted_table(name: str, arm: ArmDiscoveryResult) -> Table:
     )
 
 
-def accepted_table(name: str, arm: ArmDiscoveryResult) -> Table:
-    """Show accepted effects with all their evidence."""
+def evidence_table(name: str, arm: ArmDiscoveryResult) -> Table:
+    """Show the further evidence of accepted effects."""
     return table_of(
-        f"Arm {name}: accepted effects, held-out rms without and with each",
+        f"Arm {name}: laws and evidence of the accepted effects",
         arm.accepted,
         ("effect", "title"),
         ("law", lambda found: law_words(found.effect, found.law, found.where.joints)),
-        ("where", lambda found: place_words(found.where)),
-        ("probability", lambda found: probability_words(found.posterior), ""),
         ("score", "evidence.statistic", ".1f"),
-        ("corrected p", "evidence.corrected_p", ".2g"),
-        ("without it", "evidence.heldout_mm.before", _MM, "mm"),
-        ("with it", "evidence.heldout_mm.after", _MM, "mm"),
         ("beside its law", "law_misfit", ".0f", "%"),
         ("alternatives", lambda found: " or ".join(found.answer_set)),
         ("most correlated with", lambda found: _correlated_words(found)),

@@ -1,12 +1,11 @@
 """The result of ``discover``: a section for each arm; on the page of a run also how discovery decides.
 
-Charts of a discovery: held-out error step by step, pictures of effects, probabilities of the candidates.
+Pictures of effects as charts.
 """
 
 from __future__ import annotations
 
 import math
-import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
@@ -16,13 +15,10 @@ from cellapp.commands.discover.tables import (
     accepted_table,
     candidates_table,
     cycle_table,
-    gap_steps,
+    evidence_table,
     invisible_table,
-    noise_floor,
-    noise_floor_words,
     not_found_table,
     numbered_steps_table,
-    short_accepted_table,
     size_tables,
     structure_table,
 )
@@ -43,10 +39,10 @@ from cellapp.commands.discover.words import (
     verdict_sentence,
 )
 from cellapp.commands.record import Request, View
-from cellapp.commands.view.charts import Axis, Chart, bar_chart, drawable_mm, enumerated, noise_limit, series
-from cellapp.commands.view.parts import Facts, Part, Section, printed, section_of, sentence
-from cellapp.commands.view.table import with_rows
-from cellapp.commands.view.words import law_words, place_words, probability_words, ranges, short_reason
+from cellapp.commands.view.charts import Axis, Chart, series
+from cellapp.commands.view.parts import Facts, Part, Section, section_of, sentence
+from cellapp.commands.view.table import table_of, with_rows
+from cellapp.commands.view.words import law_words, place_words, ranges, short_reason
 from cellapp.estimation.discovery.records import (
     ArmDiscoveryResult,
     DiscoverResult,
@@ -55,7 +51,6 @@ from cellapp.estimation.discovery.records import (
     Proposal,
     ProposalQuestion,
 )
-from cellapp.ground.counting import mm
 from cellapp.ground.profile.schema import DiscoverySettings
 from cellapp.robot.kinematics.transforms import Array
 
@@ -65,15 +60,13 @@ _MOST_PICTURES = 6
 
 def view(result: DiscoverResult, request: Request | None = None) -> View:
     """Show the effects found in each arm and their meaning, notes, and proposed stops."""
+    return View((*found_parts(result), *([] if result.proposal is None else proposal_parts(result.proposal))))
+
+
+def found_parts(result: DiscoverResult) -> list[Part]:
+    """Show a section for each arm, then notes."""
     arms = [arm_section(f"discovery-{number}", name, arm) for number, (name, arm) in enumerate(result.arms.items(), 1)]
-    notes = [f"Note: {note}" for note in result.notes or ()]
-    return View((*arms, *notes, *([] if result.proposal is None else proposal_lines(result.proposal))))
-
-
-def explanation_text(result: DiscoverResult) -> str:
-    """Return all text that explains the tables of a discovery."""
-    arms = [Section([*_remarks(arm), *_meanings(arm)], title=f"Arm {name}") for name, arm in result.arms.items()]
-    return "\n".join(line for line in printed(arms) if isinstance(line, str))
+    return [*arms, *(f"Note: {note}" for note in result.notes or ())]
 
 
 def discovery_section(
@@ -92,22 +85,18 @@ def discovery_section(
 def arm_section(key: str, name: str, arm: ArmDiscoveryResult, certainty: Sequence[Chart] = ()) -> Section:
     """Show one arm: verdict, accepted effects, steps, pictures, undetectable effects, and the remainder."""
     found = with_rows(
-        short_accepted_table(name, arm),
-        numbered_steps_table(name, arm),
-        *size_tables(name, arm),
-        cycle_table(name, arm),
+        accepted_table(name, arm), numbered_steps_table(name, arm), *size_tables(name, arm), cycle_table(name, arm)
     )
     parts: list[Part] = [
         *_remarks(arm),
         *remainder_sentences(arm),
-        gap_chart(name, arm),
         *certainty,
         *found,
         *_meanings(arm),
         *(Section([words], title=heading) for heading, words in description_sentences(arm)),
         *_pictures(name, arm),
     ]
-    evidence = with_rows(candidates_table(name, arm), structure_table(name, arm), accepted_table(name, arm))
+    evidence = with_rows(candidates_table(name, arm), structure_table(name, arm), evidence_table(name, arm))
     undetected = with_rows(invisible_table(name, arm), not_found_table(name, arm))
     parts.append(Section(evidence, folded=True, title="All evidence"))
     title = "Effects that were not found, or that these data cannot show"
@@ -187,7 +176,7 @@ def _pictures(name: str, arm: ArmDiscoveryResult) -> Iterator[Section]:
     shown, others = arm.pictures[:_MOST_PICTURES], [picture.title for picture in arm.pictures[_MOST_PICTURES:]]
     drawn = [replace(picture_chart(name, picture), message=picture_words(picture)) for picture in shown]
     if drawn:
-        more = f" Smaller ones are in the terminal application: {'; '.join(dict.fromkeys(others))}." if others else ""
+        more = f" Smaller ones are in the JSON: {'; '.join(dict.fromkeys(others))}." if others else ""
         about = (
             "Dots are measured values of one effect, with all other parts of the model subtracted, at the readings that"
             f" the search used.{more}"
@@ -211,116 +200,56 @@ def _decision_words(settings: DiscoverySettings) -> str:
 # -- Proposed stops in words: which questions they answer, their gain, and how to go on -------------------------------
 
 
-_WIDTH = 80
-_COLUMNS = (("now", 7), ("proposed", 9), ("random", 8), ("gain", 6), ("needed", 7))
 _HIDDEN = 0.01
 """If the present discrimination is below this share of the proposed one, the data show nothing of the effect yet."""
 
 
-def proposal_lines(proposal: Proposal) -> list[str]:
-    """State the questions with their discriminations, advice and next steps, in lines for a terminal.
+def proposal_parts(proposal: Proposal) -> list[Part]:
+    """Show the questions with their discriminations, advice and next steps.
 
-    Each number is a discrimination (non-centrality lambda): now, with the proposed stops, with as many random stops
-    of the same candidates; then the gain of proposed over random stops, and the value that a clear answer needs.
+    A discrimination is a non-centrality lambda: now, with the proposed stops, with as many random stops of the same
+    candidates; then the gain of proposed over random stops, and the value that a clear answer needs.
     """
-    heads = "".join(f"{head:>{width}}" for head, width in _COLUMNS)
-    title = f"{proposal.count} proposed stops, discrimination"
-    lines = [f"{title:{_WIDTH - len(heads)}}{heads}"]
-    for name, questions in proposal.arms.items():
-        lines.append(f"Arm {name}")
-        for question in questions:
-            lines += [*_row(question), f"    {_outcome(question)}"]
-    words = [*proposal.advice, *proposal.notes]
+    table = table_of(
+        f"Discrimination by {proposal.count} proposed stops",
+        [(name, question) for name, questions in proposal.arms.items() for question in questions],
+        ("arm", lambda row: row[0]),
+        ("effect", lambda row: row[1].effect),
+        ("against", lambda row: row[1].against or "nothing"),
+        ("now", lambda row: row[1].discrimination.now, ".1f"),
+        ("proposed", lambda row: row[1].discrimination.proposed, ".1f"),
+        ("random", lambda row: row[1].discrimination.random, ".1f"),
+        ("gain", lambda row: row[1].gain_over_random, ".1f"),
+        ("needed", lambda row: row[1].needed, ".1f"),
+        ("these stops", lambda row: _outcome(row[1])),
+    )
+    said = [*proposal.advice, *proposal.notes]
     if proposal.written and proposal.first_configuration is not None:
         first = proposal.first_configuration + 1
-        words.append(
+        said.append(
             f"the plan now has stops {first} to {first + proposal.count - 1} too: collect with --resume, then calibrate"
             " and discover again"
         )
-    for line in words:
-        lines += textwrap.wrap(line, _WIDTH, subsequent_indent="  ")
-    return lines
-
-
-def _row(question: ProposalQuestion) -> list[str]:
-    lambdas = question.discrimination
-    values = (lambdas.now, lambdas.proposed, lambdas.random, question.gain_over_random, question.needed)
-    numbers = "".join(f"{_number(value):>{width}}" for value, (_, width) in zip(values, _COLUMNS, strict=True))
-    label = f"  {question.effect} / {question.against or 'nothing'}"
-    if len(label) + len(numbers) > _WIDTH:
-        return [label, f"{numbers:>{_WIDTH}}"]
-    return [f"{label:{_WIDTH - len(numbers)}}{numbers}"]
+    return [table, *said]
 
 
 def _outcome(question: ProposalQuestion) -> str:
     now, proposed = question.discrimination.now, question.discrimination.proposed
     if question.against is None:
         if now < _HIDDEN * proposed:
-            return "not visible so far; these stops would show it"
+            return "would show it: it is not visible so far"
         # the visible size scales with the inverse square root of the non-centrality
         share = math.sqrt(now / max(proposed, 1e-12))
-        return f"the smallest visible size falls to {100.0 * share:.0f} %"
+        return f"would lower the smallest visible size to {100.0 * share:.0f} %"
     if now >= question.needed:
-        return "already distinguished; these stops would make it more certain"
-    return "these stops would distinguish them" if proposed >= question.needed else "these stops would not suffice"
-
-
-def _number(value: float) -> str:
-    if value >= 9999.5:
-        return f"{value:.0e}"
-    return f"{value:.0f}" if value >= 100.0 else f"{value:.1f}" if value >= 10.0 else f"{value:.2f}"
+        return "would make it more certain: they are distinguished already"
+    return "would distinguish them" if proposed >= question.needed else "would not suffice"
 
 
 _SMOOTH = 0.02
 """Points farther off the line between their neighbours, as a share of the range, are drawn as a cloud, not a line."""
-_MOST_BARS = 8
-"""Most candidates that are drawn, the most probable first: the others are all near zero."""
 _BAND_SIGMAS = 2.0
 """Half width of a drawn band in standard deviations."""
-
-
-def gap_chart(name: str, arm: ArmDiscoveryResult) -> Chart:
-    """Show the held-out error before the search and after each step, with the noise floor."""
-    steps, floor = gap_steps(arm), noise_floor(arm)
-    gaps = drawable_mm([gap for _, gap in steps])
-    drawn = series("held-out rms", np.arange(float(len(gaps))), gaps)
-    limits = noise_limit(floor, name=noise_floor_words(arm))
-    axis = Axis("held-out rms", "mm", logarithmic=True)
-    message = _gap_message(arm, floor)
-    return Chart(f"Arm {name}: error after each step", Axis("step"), axis, (drawn,), message, limits)
-
-
-def _gap_message(arm: ArmDiscoveryResult, floor_mm: float | None) -> str:
-    before, after = arm.heldout_mm.before, arm.heldout_mm.after
-    floor = "" if floor_mm is None else f" The {noise_floor_words(arm)} is {mm(floor_mm)}."
-    if not arm.accepted:
-        return f"Held-out error is {mm(after)}; the search added no effect.{floor}"
-    if after >= before:
-        return f"Held-out error did not fall: {mm(before)} before, {mm(after)} after.{floor}"
-    share, effect = _largest_step(arm)
-    cause = f"; {effect.replace('_', ' ')} explains {'most' if share > 0.5 else f'{share:.0%}'} of it" if effect else ""
-    return f"Held-out error fell from {mm(before)} to {mm(after)}{cause}.{floor}"
-
-
-def _largest_step(arm: ArmDiscoveryResult) -> tuple[float, str]:
-    """Return the largest share of the squared error that one effect removed, and the effect; empty if none is named."""
-    total = arm.heldout_mm.before**2 - arm.heldout_mm.after**2
-    taken: dict[str, float] = {}
-    for before, step in zip(arm.steps, arm.steps[1:], strict=False):
-        if step.effect:
-            taken[step.effect] = taken.get(step.effect, 0.0) + before.heldout_mm**2 - step.heldout_mm**2
-    return max(((gain / total, effect) for effect, gain in taken.items()), default=(0.0, ""))
-
-
-def candidates_chart(name: str, arm: ArmDiscoveryResult) -> Chart:
-    """Show the probability of each tested effect, the most probable first."""
-    ordered = dict(sorted(arm.candidates.items(), key=lambda entry: -entry[1])[:_MOST_BARS])
-    likely = [f"{effect.replace('_', ' ')} {probability_words(p)}" for effect, p in ordered.items() if p >= 0.05]
-    message = "No probabilities were computed." if not ordered else "No effect that was tested is probable."
-    if likely:
-        message = f"Probable effects: {enumerated(likely)}."
-    bars = {effect.replace("_", " "): (100.0 * p, probability_words(p)) for effect, p in ordered.items()}
-    return bar_chart(f"Arm {name}: probability of each effect", bars, Axis("probability", "%"), message)
 
 
 def picture_chart(name: str, picture: Picture) -> Chart:

@@ -8,14 +8,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 from cellapp.commands.view.words import probability_words, ranges
-from cellapp.estimation.discovery.records import (
-    AcceptedEffect,
-    ArmDiscoveryResult,
-    CurveRecord,
-    DiscoverResult,
-    EffectMeaning,
-    Picture,
-)
+from cellapp.estimation.discovery.records import AcceptedEffect, ArmDiscoveryResult, CurveRecord, EffectMeaning, Picture
 from cellapp.estimation.discovery.verdict import unnamed_words
 
 _PLAY = re.compile(r"half_play(\d+)")
@@ -36,15 +29,6 @@ _GAP_DEG = 10.0
 def verdict_sentence(name: str, arm: ArmDiscoveryResult) -> str:
     """Return the verdict's sentence without the arm's name."""
     return arm.sentence.removeprefix(f"arm {name}: ")
-
-
-def verdict_lines(result: DiscoverResult) -> list[str]:
-    """Return the sentence of each arm's verdict, and its orientation errors if orientation was measured."""
-    return [
-        line
-        for name, arm in result.arms.items()
-        for line in (arm.sentence, *(f"arm {name}: {said}" for said in orientation_sentences(arm)))
-    ]
 
 
 def orientation_sentences(arm: ArmDiscoveryResult) -> list[str]:

@@ -12,12 +12,9 @@ from typing import Literal
 import numpy as np
 
 from cellapp.cell.driving.records import PlannedStop
-from cellapp.cell.planning.candidates import joint_ranges
-from cellapp.cell.planning.records import ArmDesign, PlanDesignResult, PlannedTime, PlanQuality, TravelTime
-from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.cell.safety.shapes import load_mesh
-from cellapp.commands.view.charts import Axis, Chart, Series, bar_chart, enumerated, series
-from cellapp.ground.counting import counted, mm
+from cellapp.commands.view.charts import Axis, Chart, Series, enumerated, series
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Pose, Profile
 from cellapp.ground.profile.sections import (
@@ -28,127 +25,9 @@ from cellapp.ground.profile.sections import (
     MeshObstacle,
     SphereObstacle,
 )
-from cellapp.ground.progress import duration_words
 from cellapp.robot.kinematics.chain import flange_poses, smr_positions
 from cellapp.robot.kinematics.transforms import Array, apply, invert
 from cellapp.robot.model.nominal import nominal_arm, pose_matrix
-
-_EQUAL = {"parameters": "parameters", "mean": "mean error", "worst": "worst error"}
-_MEAN, _WORST, _OTHER_STYLE = 0, 1, 4
-
-
-def design_charts(design: PlanDesignResult | None, time: PlannedTime | None) -> tuple[Chart, ...]:
-    """Show each arm's expected errors by stops, and the time; only the time without a design (None)."""
-    if design is None:
-        return (time_chart(None, time),)
-    told = (information_chart(name, arm) for name, arm in design.arms.items())
-    return (*told, time_chart(design.travel, time))
-
-
-# -- information ------------------------------------------------------------------------------------------------------
-
-
-def information_chart(name: str, arm: ArmDesign) -> Chart:
-    """Show the expected position error after the first n stops, mean and worst point, beside random plans."""
-    stops = [one.stops for one in arm.by_stops]
-    random = arm.random
-    drawn = (
-        series("mean", stops, [one.mean_mm for one in arm.by_stops], style=_MEAN),
-        series("worst point", stops, [one.worst_mm for one in arm.by_stops], style=_WORST),
-        series("mean, random stops", [random.stops], [random.mean_mm], "points", style=_MEAN, mark="○"),
-        series("worst point, random stops", [random.stops], [random.worst_mm], "points", style=_WORST, mark="△"),
-    )
-    axes = Axis("stops"), Axis("expected error", "mm", logarithmic=True)
-    return Chart(f"Arm {name}: what the first stops tell", *axes, drawn, _information_message(name, arm))
-
-
-def _information_message(name: str, arm: ArmDesign) -> str:
-    designed = arm.designed
-    equal = [f"{stops:.0f} in {_EQUAL[what]}" for what, stops in arm.equal_to_random.items()]
-    early = next((one for one in arm.by_stops if 4 * one.stops >= designed.stops), None)
-    sentences = [f"Arm {name}: {counted(designed.stops, 'stop gives', 'stops give')} {_errors(designed)}"]
-    if equal:
-        sentences.append(f"They tell as much as random stops: {enumerated(equal)}")
-    if early is not None and early.stops < designed.stops:
-        sentences.append(f"After {counted(early.stops, 'stop')} {_errors(early)}")
-    return ". ".join(sentences) + "."
-
-
-def _errors(quality: PlanQuality) -> str:
-    return f"{mm(quality.mean_mm)} on average, {mm(quality.worst_mm)} at the worst point"
-
-
-# -- joints -----------------------------------------------------------------------------------------------------------
-
-
-def coverage_charts(profile: Profile, stops: Sequence[PlannedStop]) -> tuple[Chart, ...]:
-    """Show the joint ranges of every arm and the stops in them; none if the profile does not describe the cell."""
-    try:
-        cell = cell_bodies(profile)
-        allowed = {name: joint_ranges(cell, profile, name) for name in cell.arms}
-    except InputError:
-        return ()
-    return tuple(
-        coverage_chart(name, ranges, np.array([stop.q[name] for stop in stops]).reshape(-1, len(ranges)))
-        for name, ranges in allowed.items()
-    )
-
-
-def coverage_chart(name: str, allowed: Array, q: Array) -> Chart:
-    """Show each joint's allowed range (N, 2) [rad] of one arm, the stops (n, N) [rad] in it, and the largest gap."""
-    axes = Axis("joint position", "deg"), Axis("joint")
-    title = f"Arm {name}: joint ranges"
-    if not len(q):
-        return Chart(title, *axes, (), f"Arm {name}: no stops yet.")
-    joints = np.arange(1.0, q.shape[1] + 1.0)
-    degrees, limits = np.degrees(q), np.degrees(allowed)
-    gaps = np.array([_largest_gap(column) for column in degrees.T])
-    drawn = (
-        series("allowed", *_segments(limits, joints), style=_OTHER_STYLE, mark="·"),
-        series("stops", degrees.ravel(), np.tile(joints, len(q)), "points", style=_MEAN),
-        series("largest gap", *_segments(gaps, joints), style=_WORST, mark="×"),
-    )
-    used = np.ptp(degrees, axis=0) / np.maximum(np.ptp(limits, axis=1), 1e-9)
-    widest, least = int(np.argmax(np.ptp(gaps, axis=1))), int(np.argmin(used))
-    message = (
-        f"Arm {name}: the largest part of a travelled range without a stop is {np.ptp(gaps[widest]):.0f} deg, of joint"
-        f" {widest + 1}; joint {least + 1} uses the least of its range, {100.0 * used[least]:.0f} %."
-    )
-    return Chart(title, *axes, drawn, message)
-
-
-def _largest_gap(values: Array) -> tuple[float, float]:
-    """Return the two neighbouring values of (n,) with the largest gap between them."""
-    ordered = np.sort(values)
-    if len(ordered) < 2:
-        return float(ordered[0]), float(ordered[0])
-    at = int(np.argmax(np.diff(ordered)))
-    return float(ordered[at]), float(ordered[at + 1])
-
-
-def _segments(ends: Array, height: Array) -> tuple[Array, Array]:
-    """Return horizontal lines between ends (m, 2) at heights (m,), with NaN gaps between them."""
-    x = np.column_stack([ends, np.full(len(ends), np.nan)])
-    return x.ravel(), np.repeat(height, 3)
-
-
-# -- time -------------------------------------------------------------------------------------------------------------
-
-
-def time_chart(travel: TravelTime | None, time: PlannedTime | None) -> Chart:
-    """Show how the time of collecting is spent, and the motions in a random order too. None: not known."""
-    bars = {} if time is None else {"motions": time.moving_s}
-    if travel is not None:
-        bars = {"motions": travel.planned_s, "in random order": travel.random_order_s}
-    if time is not None:
-        rest = {"rests": time.resting_s, "measuring": time.measuring_s}
-        bars |= rest | {"references": time.references_s, "warm-up": time.warm_up_s}
-    shown = {name: (seconds / 60.0, duration_words(seconds)) for name, seconds in bars.items() if seconds > 0.0}
-    sentences = [] if time is None else [f"Collecting takes about {duration_words(time.total_s)}."]
-    if travel is not None and travel.saved >= 0.005:
-        sentences.append(f"The order of the stops saves {100.0 * travel.saved:.0f} % of the motions' time.")
-    return bar_chart("Time of the plan", shown, Axis("time", "min"), " ".join(sentences) or "Time is not known yet.")
-
 
 View = Literal["above", "tracker"]
 

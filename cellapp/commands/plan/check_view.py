@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from cellapp.cell.driving.records import PlannedLoad, PlanResult, SweepCount
+from cellapp.cell.driving.records import PlannedLoad, PlanResult, StopsResult, SweepCount
 from cellapp.cell.planning.planned_stops import PlannedStops
 from cellapp.cell.planning.records import (
     ArmDesign,
@@ -173,18 +173,18 @@ _SINGULAR = 1e-9
 """Smallest condition number (O2) of stops that determine all parameters; some tens of stops reach 1e-3."""
 
 
-def plan_result_tables(result: PlanResult) -> list[Table]:
-    """Build the tables of a new plan; none for random stops."""
-    return [] if result.design is None else design_tables(result.design)
-
-
 def plan_lines(result: PlanResult) -> list[str]:
-    """State the stops of each arm, the quality of their design, the time of collecting, and notes."""
+    """State the stops of each arm, the time of collecting, and notes."""
     more = f" and {result.reserves} in reserve" if result.reserves else ""
     lines = [f"arm {name}: {counted(count, 'stop')} planned{more}" for name, count in result.stops.items()]
-    lines += [] if result.design is None else design_sentences(result.design)
     lines += [] if result.time is None else [f"{time_sentence(result.time)} It rests on {TIME_RESTS_ON}."]
-    return [*lines, *load_sentences(result.loads), *result.notes]
+    return [*lines, *result.notes]
+
+
+def design_parts(plan: PlanResult | StopsResult) -> list[Table | str]:
+    """Show how good the design is if the plan was designed, its loads and its sweeps."""
+    designed = [] if plan.design is None else [*design_tables(plan.design), *design_sentences(plan.design)]
+    return [*designed, *load_sentences(plan.loads), *sweep_sentences(plan.sweeps)]
 
 
 def load_sentences(loads: Sequence[PlannedLoad] | None) -> list[str]:

@@ -161,7 +161,10 @@ def planned_sweeps(run: RunFile) -> dict[str, SweepCount] | None:
 
 
 def planned_stops(run: RunFile) -> StopsResult:
-    """Return every planned stop with whether it is measured, and the sweeps about them."""
+    """Return every planned stop of a run with whether it is measured, its design, and the sweeps about the stops.
+
+    Raises ``InputError`` if the stored design is damaged.
+    """
     stops, done = read_planned_stops(run), run.stops_done()
     plan = stops.q
     count = max((len(q) for q in plan.values()), default=0)
@@ -175,14 +178,10 @@ def planned_stops(run: RunFile) -> StopsResult:
             )
             for stop in range(count)
         ),
+        design=read_plan_design(run),
         sweeps=planned_sweeps(run),
         loads=planned_loads(run.profile, stops),
     )
-
-
-def stored_plan(run: RunFile) -> StopsResult:
-    """Return every planned stop of a run and its stored design. Raises ``InputError`` if that is damaged."""
-    return planned_stops(run).model_copy(update={"design": read_plan_design(run)})
 
 
 # -- plans as files ---------------------------------------------------------------------------------------------------

@@ -16,7 +16,7 @@ from cellapp.cell.run.records import ArmOrder
 from cellapp.cell.run.sqlite_file import Event
 from cellapp.commands.calibrate.held_out import HeldOutArm
 from cellapp.commands.certificate.judgements import judge_run
-from cellapp.commands.next_step import arm_states, missing_step
+from cellapp.commands.next_step import Step, arm_states, missing_step
 from cellapp.commands.run_results import RunResults, read_results
 from cellapp.commands.stages import HERE, RunStages, next_command, read_stages
 from cellapp.estimation.calibration.quantities import conditions_of_arms
@@ -47,8 +47,8 @@ class ReportData:
         What an import derived from the order of the readings, by arm.
     model_in_force : str
         The stored model (JSON) that compensation uses; the same text as in ``calibration.json``.
-    next_step : str
-        The command that makes or repeats the first step that is missing or out of date; empty if there is none.
+    next_step : Step or None
+        The first step that is missing or out of date; None if there is none.
     """
 
     profile: Profile
@@ -60,7 +60,7 @@ class ReportData:
     in_order: Mapping[str, ArmOrder]
     events: tuple[Event, ...]
     model_in_force: str
-    next_step: str
+    next_step: Step | None
 
     @property
     def discover(self) -> DiscoverResult | None:
@@ -136,7 +136,7 @@ def read_report_data(run: RunFile) -> ReportData:
         in_order=read_in_order(run),
         events=tuple(run.events()),
         model_in_force=stages.in_force.model,
-        next_step="" if missing is None or missing.verb == "report" else missing.command,
+        next_step=None if missing is None or missing.verb == "report" else missing,
     )
 
 

@@ -1,7 +1,4 @@
-"""Sections of a report: what each shows of a run, their order, and whether their results still hold.
-
-The calibrated cell of a run: maps from above and from the side.
-"""
+"""Sections of a report: what each shows of a run, their order, and whether their results still hold."""
 
 from __future__ import annotations
 
@@ -21,14 +18,12 @@ from cellapp.cell.run.measurement_order import order_sentences
 from cellapp.cell.run.run_arms import recorded_controllers
 from cellapp.commands.calibrate.charts import (
     certainty_chart,
-    error_histogram_chart,
     pair_held_out,
-    pair_histogram_chart,
     pair_stop_chart,
     stop_error_chart,
     vector_charts,
 )
-from cellapp.commands.calibrate.detail_tables import base_table, calibration_facts, network_tables, pair_tables
+from cellapp.commands.calibrate.detail_tables import calibration_facts, network_tables, pair_tables
 from cellapp.commands.calibrate.view import (
     cooperative_noise_mm,
     cooperative_noise_mrad,
@@ -55,7 +50,7 @@ from cellapp.commands.report.data import ReportData, warnings
 from cellapp.commands.stages import CALIBRATION_FILE, readings_digest, sha256_of
 from cellapp.commands.stored_model import values_in_force
 from cellapp.commands.trials.detectability import detectability_parts, stored_detectability
-from cellapp.commands.view.charts import Axis, Chart, enumerated, evenly_spread, levelling_rotation, series
+from cellapp.commands.view.charts import Chart, enumerated
 from cellapp.commands.view.parts import Facts, Section, section_of
 from cellapp.commands.view.table import Cell, Table, columns_of
 from cellapp.commands.view.words import RULE_WORDS, judged_sentence, judgement_table
@@ -228,68 +223,31 @@ def _judgements(data: ReportData) -> Section | None:
 def _accuracy(data: ReportData) -> Section:
     calibrate = data.calibrate
     return Section(
-        [
-            *_absent_stages(data),
-            *accuracy_charts(data),
-            *detailed_tables(calibrate),
-            *motion_sentences(calibrate),
-            Section([*_terms(calibrate)], folded=True, title="Terms: models, errors, noise floor"),
-        ],
+        [*accuracy_charts(data), *detailed_tables(calibrate), *motion_sentences(calibrate)],
         message=_accuracy_message(data),
+        about=_accuracy_about(calibrate),
     )
 
 
 def accuracy_charts(data: ReportData) -> Iterator[Chart]:
-    """Yield errors by configuration and as a histogram, of each arm, and of the pair if stored by stop."""
+    """Yield the errors by configuration of each arm, and of the pair if stored by stop."""
     for name, held_out in data.held_out.items():
-        floor = data.calibrate.arms[name].tracker_mm
-        yield stop_error_chart(name, held_out, floor)
-        yield error_histogram_chart(name, held_out.errors_mm, floor)
+        yield stop_error_chart(name, held_out, data.calibrate.arms[name].tracker_mm)
     if pair_held_out(data.calibrate):
         yield pair_stop_chart(data.calibrate)
-        yield pair_histogram_chart(data.calibrate)
 
 
-def _absent_stages(data: ReportData) -> Iterator[str]:
-    """Say why a stage is not drawn."""
-    for name, held_out in data.held_out.items():
-        if "geometry" not in held_out.errors_mm:
-            yield (
-                f"Charts of arm {name} have no models of later stages: the older version of cellapp that calibrated did"
-                " not store them."
-            )
-        elif "effects" not in held_out.errors_mm:
-            yield f"Charts of arm {name} have no effects: {_why_no_effects(data)}."
-
-
-def _why_no_effects(data: ReportData) -> str:
-    if data.discover is not None:
-        return "none was found"
-    return "not searched for yet" if data.results.discover is None else "the search is out of date"
-
-
-def _terms(calibrate: CalibrateResult) -> Iterator[str]:
-    yield (
-        "All errors are those of held-out configurations: measured like the others, but not used by the calibration."
-        " Nominal is the geometry of the manufacturer, with base and SMR registered to the readings; geometry has the"
-        " identified lengths and angles of this arm; network adds a residual network in the robot's base frame; effects"
-        " adds the physical effects that discovery accepted instead. The noise floor is the error that the stated"
-        " uncertainty of the tracker alone would cause. The position error is the distance of the computed SMR from the"
-        " measured one; the distance error is the error of the distance between two positions of one arm (ISO 9283)."
-    )
+def _accuracy_about(calibrate: CalibrateResult) -> str:
+    """Say what the rows and columns are, and what the noise floor is."""
     tracker = _tracker_words(calibrate)
-    yield 'All errors in mm; "95 %" is a percentile, "95 % of mean" is the bootstrap interval of the mean. ' + (
-        '"rms / tracker" is the rms error divided by the rms error that the stated uncertainty of the tracker alone'
-        f" would cause ({tracker}); at 1 the tracker cannot resolve any further improvement."
-        if tracker
-        else "The readings state no uncertainty: there is no noise floor to compare with."
+    floor = f"the error that the stated uncertainty of the tracker alone would cause ({tracker})"
+    return (
+        "Nominal is the geometry of the manufacturer, geometry has the identified lengths and angles, network adds a"
+        ' residual network, effects adds the physical effects that discovery accepted instead. "95 %" is a percentile,'
+        ' "95 % of mean" the bootstrap interval of the mean. '
+        + (f"The noise floor is {floor}." if tracker else "The readings state no uncertainty: there is no noise floor.")
+        + " 'cellapp docs glossary' explains the errors."
     )
-    if calibrate.pair:
-        yield (
-            "Cooperative error: error of the computed distance between the two arms' SMRs at one stop, in mrad the"
-            " angle by which the computed rotation of one flange in the other's frame is off. \"Network in the"
-            " tracker frame\" is the paper's counter-example: what was learned there is added in the base frame."
-        )
 
 
 def _tracker_words(calibrate: CalibrateResult) -> str:
@@ -439,16 +397,6 @@ def _pair_message(calibrate: CalibrateResult) -> str:
     return f"{message}; by {words} and by the tracker's frame this differs by {mm(1e3 * math.hypot(*off))}."
 
 
-def _cell(data: ReportData) -> Section:
-    distances = {name: float(np.linalg.norm(arm.geometry.T_M_B()[:3, 3])) for name, arm in data.model.arms.items()}
-    words = enumerated(f"arm {name} {distance:.2f} m" for name, distance in distances.items())
-    return Section(
-        [*cell_maps(data), base_table(data.model)],
-        message=f"Distance of the bases from the tracker: {words}.",
-        about="Drawn in the tracker frame, rotated so that z points up; the tracker is at the origin.",
-    )
-
-
 def _parameters(data: ReportData, lost: list[str]) -> Section:
     in_force = values_in_force(data.calibrate, data.model)
     tables = parameter_tables(in_force)
@@ -528,45 +476,9 @@ SECTIONS: Mapping[str, tuple[str, tuple[StageName, ...], Maker]] = {
     "power": ("What the plan can name", (), lambda run, _: detectability_section(run)),
     "rehearsal": ("Rehearsal", (), lambda run, _: None if (log := kept_log(run)) is None else log_section(log)),
     "collection": ("Collecting", (), _collection),
-    "cell": ("The cell", (), _of(_cell)),
     "parameters": ("Identified parameters", (CALIBRATE,), lambda run, data: _parameters(data, lost_by_arm(run))),
     "controllers": ("The controllers' own calibration", (CALIBRATE,), controllers_section),
     "notes": ("Warnings and notes", (), _of(_notes)),
     "provenance": ("Provenance", (), _of(_provenance)),
 }
 """Sections in the order of the report: anchor, title, the stages whose results they show even if out of date, maker."""
-
-
-_MOST_POINTS = 400
-"""Most measured positions drawn of each arm: more add kilobytes and no shape."""
-_OTHER_STYLE = 4
-"""Style of series that belong to no arm."""
-
-
-def cell_maps(data: ReportData) -> list[Chart]:
-    """Show measured positions, bases and tracker in the tracker frame with its z axis up."""
-    level = levelling_rotation(next(iter(data.model.arms.values())).up_M)
-    bases = np.array([level @ arm.geometry.T_M_B()[:3, 3] for arm in data.model.arms.values()])
-    points = {}
-    for name in data.model.arms:
-        p_M = data.readings[name].p_M
-        points[name] = p_M[evenly_spread(len(p_M), _MOST_POINTS)] @ level.T
-    # seen from the side, the line from the tracker to the arms has its full length
-    across = int(np.argmax(np.abs(bases.mean(axis=0))[:2]))
-    return [
-        _plane_chart(points, bases, "The cell from above", 0, 1),
-        _plane_chart(points, bases, "The cell from the side", across, 2),
-    ]
-
-
-def _plane_chart(points: Mapping[str, Array], bases: Array, title: str, across: int, up: int) -> Chart:
-    """Show points (n, 3) and bases (m, 3) [m] in a plane: axis ``across`` to the right, ``up`` upwards (0, 1, 2)."""
-    drawn, words = [], []
-    for style, (name, p) in enumerate(points.items()):
-        drawn.append(series(f"arm {name}", p[:, across], p[:, up], "points", style=style))
-        width, height = np.ptp(p[:, (across, up)], axis=0)
-        words.append(f"{width:.1f} m along {'xyz'[across]} and {height:.1f} m along {'xyz'[up]} (arm {name})")
-    drawn.append(series("bases", bases[:, across], bases[:, up], "points", style=_OTHER_STYLE, mark="B"))
-    drawn.append(series("tracker", [0.0], [0.0], "points", style=_OTHER_STYLE, mark="T"))
-    axes = (Axis("xyz"[across], "m"), Axis("xyz"[up], "m"))
-    return Chart(title, *axes, tuple(drawn), f"Measured positions span {'; '.join(words)}.", equal=True)

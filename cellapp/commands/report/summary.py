@@ -19,7 +19,8 @@ from cellapp.commands.report.data import ReportData, read_report_data
 from cellapp.commands.run_results import read_results
 from cellapp.commands.stages import HERE
 from cellapp.commands.view.charts import SMALLEST_MM
-from cellapp.commands.view.table import Table
+from cellapp.commands.view.parts import Parts
+from cellapp.commands.view.table import with_rows
 from cellapp.commands.view.words import (
     CHARACTERISTIC_WORDS,
     RULE_WORDS,
@@ -167,11 +168,11 @@ def _effect_words(effect: AcceptedEffect) -> str:
 
 
 def _steps(data: ReportData, judgements: Sequence[Judgement], today: date) -> Iterator[Step]:
-    if data.next_step:
-        yield Step(_next_words(data), data.next_step)
+    missing = [] if data.next_step is None else [data.next_step]
+    yield from missing
     here = data.results.model_copy(update={"run": str(HERE)})  # the page is the same wherever it lies
-    steps = open_steps(data.profile, here, judgements)
-    yield from (one for one in steps if not one.command or one.command != data.next_step)
+    said = {one.command for one in missing}
+    yield from (one for one in open_steps(data.profile, here, judgements) if one.command not in said)
     for name, arm in ({} if data.discover is None else data.discover.arms).items():
         yield from _effect_steps(name, arm)
     due = data.profile.traceability.tracker.due
@@ -180,12 +181,6 @@ def _steps(data: ReportData, judgements: Sequence[Judgement], today: date) -> It
     driven = any(arm.driver.has_device for arm in data.profile.arms.values())
     if driven and data.results.check is None and CHECK not in data.results.out_of_date:
         yield Step("After each collision, repair or move, and at regular intervals:", f"cellapp check {HERE}")
-
-
-def _next_words(data: ReportData) -> str:
-    if " collect " in data.next_step:
-        return "Measure the planned stops that are left, then calibrate and discover again:"
-    return "Repeat what is out of date:" if data.results.out_of_date else "Go on with:"
 
 
 def _effect_steps(name: str, arm: ArmDiscoveryResult) -> Iterator[Step]:
@@ -204,49 +199,26 @@ def _capitalised(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-# -- The verdict on a run as a table and sentences: judgements, what is out of date, what comes next ------------------
+# -- The verdict on a run for a screen --------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class RunVerdict(Verdict):
-    """The judgements on a run with their verdict, and next steps."""
+def read_verdict(run: RunFile, today: date) -> tuple[Verdict, Parts]:
+    """Judge a run as it is now: its verdict; every judgement, the decision rules, what comes next.
 
-    judgements: tuple[Judgement, ...]
-    steps: tuple[str, ...]
-
-
-def read_verdict(run: RunFile, today: date) -> RunVerdict:
-    """Judge a run as it is now; instruments are due as of ``today``."""
-    results = read_results(run)
-    data = _report_data(run)
-    if data is None:
-        judgements = judge_run(run.profile, results)
-        title = "Not calibrated yet"
-        sentence = "Collect and calibrate first; tests by ISO 9283 with nominal commands need no calibration."
-        return RunVerdict(overall(judgements), title, sentence, judgements, ())
-    judgements = data.judgements
-    first: Summary = summary(data, judgements, today)
-    steps = tuple(f"{step.text} {step.command}".strip() for step in first.steps)
-    verdict = first.verdict
-    return RunVerdict(verdict.state, verdict.title, verdict.sentence, judgements, steps)
-
-
-def verdict_tables(verdict: RunVerdict) -> list[Table]:
-    """Show every judgement: error, expanded uncertainty, tolerance, decision, and source of the error."""
-    return [judgement_table(verdict.judgements)] if verdict.judgements else []
-
-
-def verdict_sentences(verdict: RunVerdict) -> list[str]:
-    """State the decision rules, and what comes next."""
-    rules = dict.fromkeys(RULE_WORDS[one.rule] for one in verdict.judgements)
-    return [*rules, *(f"next: {step}" for step in verdict.steps)]
-
-
-def _report_data(run: RunFile) -> ReportData | None:
+    Instruments are due as of ``today``.
+    """
     try:
-        return read_report_data(run)
-    except InputError:
-        return None  # not calibrated yet
+        data = read_report_data(run)
+    except InputError:  # not calibrated yet
+        judgements = judge_run(run.profile, read_results(run))
+        sentence = "Collect and calibrate first; tests by ISO 9283 with nominal commands need no calibration."
+        found, steps = Verdict(overall(judgements), "Not calibrated yet", sentence), list[Step]()
+    else:
+        judgements = data.judgements
+        found, steps = verdict(data, judgements), list(_steps(data, judgements, today))
+    rules = dict.fromkeys(RULE_WORDS[one.rule] for one in judgements)
+    next_steps = (f"next: {f'{step.text} {step.command}'.strip()}" for step in steps)
+    return found, (*with_rows(judgement_table(judgements)), *rules, *next_steps)
 
 
 _ROOM = 1.25

@@ -14,7 +14,7 @@ from cellapp.commands.run_results import RunResults, read_results
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import comparable_arms
 from cellapp.commands.view.table import Table, table_of, with_rows
-from cellapp.commands.view.words import METHOD_WORDS, STAGE_WORDS, display_unit, geometry_unit, place_words
+from cellapp.commands.view.words import display_unit, geometry_unit, place_words
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import AcceptedEffect
 from cellapp.estimation.monitoring.parameter_changes import Difference, differences
@@ -22,7 +22,7 @@ from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
-from cellapp.ground.results import BEST_METHODS, METHODS, STAGES, ErrorSummary, Estimate, Record, Result
+from cellapp.ground.results import BEST_METHODS, Estimate, Record, Result
 
 
 class ProfileDifference(Record):
@@ -34,11 +34,11 @@ class ProfileDifference(Record):
 
 
 class ValueComparison(Record):
-    """A value of two runs, as a parameter or a mean error, all in ``unit``; None where a run does not have it.
+    """A parameter of two runs, all in ``unit``; None where a run does not have it.
 
     ``difference`` is b less a, ``standard_uncertainty`` that of the difference, ``z`` one over the other; both None
-    where the value has no standard error. ``of`` says what the value belongs to: "geometry", "held-out errors" or an
-    effect with its place.
+    where the value has no standard error. ``of`` says what the value belongs to: "geometry" or an effect
+    with its place.
     """
 
     of: str
@@ -58,7 +58,7 @@ class ValueComparison(Record):
 
 MOST_Z = 3.0
 """Difference in standard uncertainties from which it counts: 0.3 % of normal differences are larger."""
-GEOMETRY, HELD_OUT, TARGETS, TRANSFORM = "geometry", "held-out errors", "verified targets", "inter-base transform"
+GEOMETRY, TRANSFORM = "geometry", "inter-base transform"
 
 
 class RunComparison(Result, schema="cellapp-comparison", version=2):
@@ -72,11 +72,7 @@ class RunComparison(Result, schema="cellapp-comparison", version=2):
     notes: tuple[str, ...]
 
 
-_NOT_STORED: Mapping[str, str] = {
-    "calibrate": "is not calibrated",
-    "discover": "was not searched for missing effects",
-    "verify": "was not verified at targets",
-}
+_NOT_STORED: Mapping[str, str] = {"calibrate": "is not calibrated", "discover": "was not searched for missing effects"}
 
 
 def compare_runs(a: RunFile, b: RunFile) -> RunComparison:
@@ -98,7 +94,9 @@ def compare_runs(a: RunFile, b: RunFile) -> RunComparison:
     for name in common:
         same = name not in others and all(name in model for model in models)
         moved = differences(models[0][name], models[1][name]) if same else []
-        arms[name] = (*map(_moved, moved), *_of_arm(name, first, second))
+        found = [None if run.discover is None else run.discover.arms.get(name) for run in (first, second)]
+        effects = _effects(*(() if arm is None else arm.accepted for arm in found))
+        arms[name] = (*map(_moved, moved), *effects)
     return RunComparison(
         a=str(a.folder),
         b=str(b.folder),
@@ -171,33 +169,12 @@ def _moved(one: Difference) -> ValueComparison:
     return _compared(GEOMETRY, one.name, one.unit, *values, one.difference, one.standard_uncertainty)
 
 
-def _of_arm(name: str, a: RunResults, b: RunResults) -> Iterator[ValueComparison]:
-    """Yield mean errors at held-out stops and at targets, and the sizes of the effects."""
-    calibrated = [None if run.calibrate is None else run.calibrate.arms.get(name) for run in (a, b)]
-    errors = [{} if arm is None else arm.validate_ for arm in calibrated]
-    for stage in STAGES:
-        if any(stage in own for own in errors):
-            both = [own.get(stage) for own in errors]
-            found = [(None, None) if one is None else (one.position_mm, one.orientation_mrad) for one in both]
-            yield from _held_out(STAGE_WORDS[stage], *found)
-    verified = [None if run.verify is None else run.verify.arms.get(name) for run in (a, b)]
-    if any(verified):
-        yield _error(TARGETS, "uncompensated", *(None if one is None else one.nominal_mm.mean for one in verified))
-        yield _error(TARGETS, "compensated", *(None if one is None else one.compensated_mm.mean for one in verified))
-    named = [None if run.discover is None else run.discover.arms.get(name) for run in (a, b)]
-    yield from _effects(*(() if arm is None else arm.accepted for arm in named))
-
-
 def _of_pair(a: CalibrateResult | None, b: CalibrateResult | None) -> Iterator[ValueComparison]:
+    """Yield the inter-base transforms by the best method that both runs have."""
     first, second = ({} if run is None else run.pair for run in (a, b))
     method = next((method for method in BEST_METHODS if method in first and method in second), None)
     if method is not None:
         yield from _values(TRANSFORM, first[method].identified, second[method].identified)
-    for method in METHODS:
-        if method in first or method in second:
-            both = [own.get(method) for own in (first, second)]
-            found = [(None, None) if one is None else (one.cooperative_mm, one.cooperative_mrad) for one in both]
-            yield from _held_out(METHOD_WORDS[method], *found)
 
 
 def _effects(a: Sequence[AcceptedEffect], b: Sequence[AcceptedEffect]) -> Iterator[ValueComparison]:
@@ -212,19 +189,6 @@ def _effects(a: Sequence[AcceptedEffect], b: Sequence[AcceptedEffect]) -> Iterat
             places = " / ".join(dict.fromkeys(place_words(effect.where) for effect in known))
             sizes = ({} if effect is None else effect.parameters for effect in (one, other))
             yield from _values(f"{known[0].title} ({places})", *sizes)
-
-
-def _error(of: str, name: str, a: float | None, b: float | None) -> ValueComparison:
-    return _compared(of, name, "mm", a, b, None if a is None or b is None else b - a)
-
-
-def _held_out(name: str, *errors: tuple[ErrorSummary | None, ErrorSummary | None]) -> Iterator[ValueComparison]:
-    """Yield the mean held-out errors of both runs, those of each in mm and in mrad, if one has some."""
-    words = ((name, "mm"), (f"{name}, orientation", "mrad"))
-    for (word, unit), its in zip(words, zip(*errors, strict=True), strict=True):
-        if any(its):
-            a, b = (None if one is None else one.mean for one in its)
-            yield _compared(HELD_OUT, word, unit, a, b, None if a is None or b is None else b - a)
 
 
 def _values(of: str, a: Mapping[str, Estimate], b: Mapping[str, Estimate]) -> Iterator[ValueComparison]:

@@ -28,7 +28,7 @@ class ShowRequest(Request):
     check: Annotated[bool, Asked("With plan: run the motion check over all stops and ways again.")] = False
     forecast: Annotated[bool, Asked("With plan: time, joint ranges, expected errors, effects it can show.")] = False
     against: Annotated[
-        Path | None, Asked("Where this run differs from another one: profile, parameters, errors, effects.", "DIR")
+        Path | None, Asked("Where this run differs from another one: profile, parameters, effects.", "DIR")
     ] = None
     target: Annotated[str | None, Asked("With targets: all about one of them.", "NAME")] = None
     strict: Strict = False

@@ -9,7 +9,7 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.run.recordings import recording_states
 from cellapp.commands.collect.state import collection_state
 from cellapp.commands.compensate.target_list import stored_state
-from cellapp.commands.plan.run import stored_plan
+from cellapp.commands.plan.run import planned_stops
 from cellapp.commands.record import Work
 from cellapp.commands.registry import STORING, records
 from cellapp.commands.run_results import read_results
@@ -86,7 +86,7 @@ def _recordings(run: RunFile) -> RecordingsResult:
 def _plan(run: RunFile, request: ShowRequest, work: Work) -> Result:
     if request.check:
         return check_plan_run(run, work.control)
-    return forecast_run(run, work.control) if request.forecast else stored_plan(run)
+    return forecast_run(run, work.control) if request.forecast else planned_stops(run)
 
 
 def _target(run: RunFile, name: str) -> Shown:

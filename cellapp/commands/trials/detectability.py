@@ -30,7 +30,6 @@ from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.commands.trials.blind import beyond_geometry, conditions_at, readings_at, registered_model, with_hidden
-from cellapp.commands.view.charts import Axis, Chart, bar_chart
 from cellapp.commands.view.parts import Parts
 from cellapp.commands.view.table import Interval, Table, table_of
 from cellapp.estimation.calibration.calibrate import calibrate_arm, profile_splits, rms_length_mm
@@ -506,11 +505,9 @@ def stored_detectability(run: RunFile) -> DetectabilityResult | None:
 
 
 def detectability_parts(result: DetectabilityResult) -> Parts:
-    """Show what the plan would name: the method, then a table and a chart for each arm."""
-    parts: list[str | Table | Chart] = [detectability_sentence(result)]
-    for name, arm in result.arms.items():
-        parts += [detectability_chart(name, arm), detectability_table(name, arm)]
-    return [*parts, *(f"not computed: {one}" for one in result.failed[:10])]
+    """Show what the plan would name: the method, then a table for each arm."""
+    tables = [detectability_table(name, arm) for name, arm in result.arms.items()]
+    return [detectability_sentence(result), *tables, *(f"not computed: {one}" for one in result.failed[:10])]
 
 
 def detectability_sentence(result: DetectabilityResult) -> str:
@@ -538,19 +535,6 @@ def detectability_table(name: str, arm: ArmDetectability) -> Table:
     )
 
 
-def detectability_chart(name: str, arm: ArmDetectability) -> Chart:
-    """Show a bar for each effect that is named from some size on."""
-    shown = {one.title: one.named_from for one in _ordered(arm) if one.named_from is not None}
-    bars = {title: (size.value_mm, _words(size)) for title, size in shown.items()}
-    least = next((f"{title} from {text}" for title, (_, text) in bars.items()), "no effect")
-    return bar_chart(
-        f"Arm {name}: size from which an effect is named in {100 * SHARE:.0f} % of the runs",
-        bars,
-        Axis("rms displacement of the SMR", "mm"),
-        f"Named at the smallest size: {least}. {len(arm.effects) - len(bars)} effects were not shown to be named.",
-    )
-
-
 # -- inside -----------------------------------------------------------------------------------------------------------
 
 
@@ -563,8 +547,3 @@ def _interval(one: Detectability) -> Interval | str | None:
         return None
     low, high = one.named_from.low_mm, one.named_from.high_mm
     return f"{low:.3f} and more" if high is None else Interval(low, high)
-
-
-def _words(size: NamedSize) -> str:
-    until = "and more" if size.high_mm is None else f"to {size.high_mm:.3f}"
-    return f"{size.value_mm:.3f} ({size.low_mm:.3f} {until}) mm"

@@ -7,15 +7,15 @@ Tables of blind trials for terminal and handbook.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from operator import itemgetter
-from typing import Any, Literal, get_args
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Literal
 
 import numpy as np
 
 from cellapp.commands.trials.sealed import DescribedTerm, SealHeader
 from cellapp.commands.trials.sealed_setup import MASS_ERROR, Setup
-from cellapp.commands.view.table import Field, Number, Table, table_of
+from cellapp.commands.view.table import Interval, Number, Table, table_of, with_rows
 from cellapp.estimation.discovery.arm_data import UNKNOWN
 from cellapp.estimation.discovery.records import BeforeAfter
 from cellapp.ground.counting import counted
@@ -223,27 +223,12 @@ def _target(
 
 def scores(runs: Sequence[ScoredRun]) -> Scores:
     """Count outcomes and targets over all runs."""
-    one = [run for run in runs if run.kind == "one"]
-    outside = [run for run in runs if run.kind == "outside"]
-    several = [run for run in runs if len(run.hidden) > 1]
     clean = [found for run in runs if run.kind == "none" for found in run.arms.values()]
-    beside = [found for run in runs if run.arm for arm, found in run.arms.items() if arm != run.arm]
-    without = {"nothing hidden in the run": clean, "arm beside one that hides something": beside}
-    every = [found for run in runs for found in run.arms.values()]
     posteriors = posterior_scores(runs)
     return Scores(
         targets=tuple(targets(runs, clean, posteriors)),
-        one={slug: _effect_counts(group) for slug, group in _groups(one).items()},
-        none={what: _clean_counts(arms) for what, arms in without.items() if arms},
-        outside={slug: _outside_counts(group) for slug, group in _groups(outside).items()},
-        pair={
-            names: _effect_counts(group).model_copy(update={"look_alikes": group[0].look_alikes})
-            for names, group in _groups(several).items()
-        },
+        counts=tuple(_counts(runs)),
         posteriors=posteriors,
-        seconds_an_arm=Spread.of([found.seconds for found in every]),
-        cpu_seconds_an_arm=Spread.of([found.cpu_seconds for found in every]),
-        misses=tuple(miss for run in runs for miss in [_miss(run, arm) for arm in run.arms if _missed(run, arm)]),
         trials=tuple(runs),
     )
 
@@ -251,60 +236,38 @@ def scores(runs: Sequence[ScoredRun]) -> Scores:
 # -- counting ---------------------------------------------------------------------------------------------------------
 
 
-def _groups(runs: Sequence[ScoredRun]) -> dict[str, list[ScoredRun]]:
-    """Group the runs that hide the same, look-alikes last."""
-    ordered = sorted(runs, key=lambda run: (run.look_alikes, run.hidden_names))
-    return grouped((run.hidden_names, run) for run in ordered)
+def _counts(runs: Sequence[ScoredRun]) -> Iterator[HiddenCounts]:
+    """Yield the counts of each group of arms that hide the same, several effects and look-alikes last."""
+    ordered = sorted(runs, key=lambda run: (len(run.hidden) > 1, run.look_alikes, run.hidden_names, not run.visible))
+    groups = grouped((_group_words(run, arm), (run, arm)) for run in ordered for arm in run.arms)
+    for hidden, arms in groups.items():
+        sizes = [min(one.visible_um for one in run.hidden) for run, arm in arms if arm == run.arm]
+        yield HiddenCounts(
+            hidden=hidden,
+            n=len(arms),
+            visible_um=(min(sizes), max(sizes)) if sizes else None,
+            outcomes=Counter(_outcome_words(run, arm) for run, arm in arms),
+        )
 
 
-def _effect_counts(runs: Sequence[ScoredRun]) -> EffectCounts:
-    return EffectCounts(
-        visible=_outcome_counts([run for run in runs if run.visible]),
-        below=_outcome_counts([run for run in runs if not run.visible]),
-    )
+def _group_words(run: ScoredRun, arm: str) -> str:
+    """Say what an arm hides, and whether below the noise."""
+    if arm != run.arm:
+        return "nothing, beside an arm that hides something" if run.arm else "nothing in the run"
+    return f"{run.hidden_names}{' (confounded)' if run.look_alikes else ''}{'' if run.visible else ', below'}"
 
 
-def _outcome_counts(runs: Sequence[ScoredRun]) -> OutcomeCounts:
-    counts: dict[str, Any] = {outcome: sum(run.outcome == outcome for run in runs) for outcome in OUTCOMES}
-    return OutcomeCounts(
-        **dict(_end_state([run.findings for run in runs])),
-        **counts,
-        n=len(runs),
-        visible_um=Spread.of([min(effect.visible_um for effect in run.hidden) for run in runs]),
-        in_answer_set=sum(bool(run.in_answer_set) for run in runs),
-    )
-
-
-def _clean_counts(arms: Sequence[ArmFindings]) -> CleanCounts:
-    return CleanCounts(
-        **dict(_end_state(arms)),
-        n=len(arms),
-        false_names=sum(bool(found.names) for found in arms),
-        false_unknown=sum(found.unknown for found in arms),
-    )
-
-
-def _outside_counts(runs: Sequence[ScoredRun]) -> OutsideCounts:
-    return OutsideCounts(
-        **dict(_end_state([run.findings for run in runs])),
-        n=len(runs),
-        visible_um=Spread.of([run.hidden[0].visible_um for run in runs]),
-        unknown=sum(run.findings.unknown for run in runs),
-        right=sum(run.description == "right" for run in runs),
-        part=sum(run.description == "part" for run in runs),
-        false_names=sum(bool(run.findings.names) for run in runs),
-    )
-
-
-def _end_state(arms: Sequence[ArmFindings]) -> EndState:
-    verdicts = [found.verdict for found in arms]
-    return EndState(
-        heldout_to_drawn=Spread.of([found.to_drawn for found in arms]),
-        verdicts={word: verdicts.count(word) for word in VERDICTS if word in verdicts},
-    )
+def _outcome_words(run: ScoredRun, arm: str) -> str:
+    """Return the outcome of an arm; an unknown effect with how far its description is right."""
+    found = run.arms[arm]
+    if arm != run.arm:
+        return "false name" if found.names else "false unknown" if found.unknown else "none"
+    described = {"right": "described", "part": "described in part"}
+    return described.get(run.description, "unknown") if run.outcome == "unknown" else run.outcome or "none"
 
 
 def _missed(run: ScoredRun, arm: str) -> bool:
+    """Return whether not exactly the hidden effects were found in an arm."""
     found = run.arms[arm]
     if arm != run.arm:
         return bool(found.accepted) or found.unknown
@@ -315,52 +278,12 @@ def _missed(run: ScoredRun, arm: str) -> bool:
     return run.outcome != "named" and (bool(run.visible) or bool(found.accepted))
 
 
-def _miss(run: ScoredRun, arm: str) -> Miss:
-    found = run.arms[arm]
-    others = {slug for answers in found.answer_sets for slug in answers[1:]}
-    described = [f"{term.channel}: {', '.join(term.variables)}" for term in found.described]
-    effects = [_hidden_words(one) for one in run.hidden] if arm == run.arm else []
-    return Miss(
-        run=run.run,
-        arm=arm,
-        hidden=" + ".join(effects),
-        found=" + ".join(found.accepted),
-        said="; ".join([*(f"or {slug}" for slug in sorted(others)), *described]),
-        verdict=found.verdict,
-        to_drawn=found.to_drawn,
-    )
-
-
-def _hidden_words(effect: HiddenEffect) -> str:
-    """Describe an effect, ``backlash/many_plays (84)``: its law and its visible size [µm]."""
-    law = f"/{effect.law}" if effect.law else ""
-    return f"{effect.plant}{law} ({effect.visible_um:.0f})"
-
-
 THRESHOLD = "visible rms above the rms length of the stated noise (noise per coordinate times root 3)"
-NOTHING, NOT_KNOWN = "nothing missing", "unknown effect"
-VERDICTS = ("explained", "ambiguous", NOT_KNOWN, NOTHING)
+NOT_KNOWN = "unknown effect"
 
 Outcome = Literal["named", "extra", "part", "wrong", "unknown", "none"]
-OUTCOMES: tuple[Outcome, ...] = get_args(Outcome)
 Likeness = Literal["", "part", "right"]
 """How far a description matches a law outside the library."""
-
-
-class Spread(Record):
-    """Median and range of some values."""
-
-    median: float
-    min: float
-    max: float
-
-    @classmethod
-    def of(cls, values: Sequence[float]) -> Spread | None:
-        """Return the median and range of the finite values; None of none."""
-        known = [value for value in values if np.isfinite(value)]
-        if not known:
-            return None
-        return cls(median=float(np.median(known)), min=float(min(known)), max=float(max(known)))
 
 
 class NoiseLengths(Record):
@@ -463,58 +386,13 @@ class ScoredRun(Record):
         return names + (f"/{law}" if law else "")
 
 
-class EndState(Record):
-    """Held-out error against sampled and assumed noise, and number of each verdict."""
+class HiddenCounts(Record):
+    """Arms that hide the same, all above or all below the noise: smallest and largest visible size [µm], outcomes."""
 
-    heldout_to_drawn: Spread | None
-    verdicts: Mapping[str, int]
-
-
-class OutcomeCounts(EndState):
-    """Number of each outcome in runs that hide the same."""
-
+    hidden: str
     n: int
-    visible_um: Spread | None
-    named: int
-    extra: int
-    part: int
-    wrong: int
-    unknown: int
-    none: int
-    in_answer_set: int
-
-    def count(self, outcome: Outcome) -> int:
-        """Return the number of one outcome."""
-        found: int = getattr(self, outcome)
-        return found
-
-
-class EffectCounts(Record):
-    """Runs that hide the same, apart for visible and for smaller effects; ``look_alikes`` for pairs only."""
-
-    visible: OutcomeCounts
-    below: OutcomeCounts
-    look_alikes: bool | None = None
-    omitted_when_none = frozenset({"look_alikes"})
-
-
-class CleanCounts(EndState):
-    """False alarms in arms without hidden effects."""
-
-    n: int
-    false_names: int
-    false_unknown: int
-
-
-class OutsideCounts(EndState):
-    """Runs with a law that the library lacks."""
-
-    n: int
-    visible_um: Spread | None
-    unknown: int
-    right: int
-    part: int
-    false_names: int
+    visible_um: tuple[float, float] | None
+    outcomes: Mapping[str, int]
 
 
 class TargetScore(Record):
@@ -560,31 +438,12 @@ class PosteriorScore(Record):
     bins: tuple[ReliabilityBin, ...]
 
 
-class Miss(Record):
-    """An arm in which not exactly the hidden effects were found."""
-
-    run: str
-    arm: str
-    hidden: str
-    found: str
-    said: str
-    verdict: str
-    to_drawn: float
-
-
 class Scores(Record):
-    """Targets, counts by effect, law and pair, arms without effects, posteriors, speed, misses, and every run."""
+    """Targets, counts by what was hidden, stated probabilities, and every run."""
 
-    threshold: str = THRESHOLD
     targets: tuple[TargetScore, ...]
-    one: Mapping[str, EffectCounts]
-    none: Mapping[str, CleanCounts]
-    outside: Mapping[str, OutsideCounts]
-    pair: Mapping[str, EffectCounts]
+    counts: tuple[HiddenCounts, ...]
     posteriors: tuple[PosteriorScore, ...] = ()
-    seconds_an_arm: Spread | None
-    cpu_seconds_an_arm: Spread | None
-    misses: tuple[Miss, ...]
     trials: tuple[ScoredRun, ...]
 
     @property
@@ -605,31 +464,31 @@ class JudgeResult(Scores, Result, schema="cellapp-trials-judge"):
 
 
 def judge_tables(result: Scores) -> list[Table]:
-    """Show the targets, then one table for each kind of trial; the last one lists the misses."""
-    effects = {"One hidden effect": result.one, "Several hidden effects": result.pair}
-    return [
-        _target_table(result.targets),
-        *(_count_table(title, groups) for title, groups in effects.items() if groups),
-        *([_clean_table(result.none)] if result.none else []),
-        *([_outside_table(result.outside)] if result.outside else []),
-        *map(_posterior_table, result.posteriors),
-        *([_miss_table(result.misses)] if result.misses else []),
-    ]
+    """Show the targets, the outcomes by what was hidden, the stated probabilities, and the misses."""
+    counts = table_of(
+        "What was found, by what was hidden",
+        result.counts,
+        ("hidden", "hidden"),
+        ("visible µm", lambda one: one.visible_um and Interval(*one.visible_um), ".0f"),
+        ("n", "n", "d"),
+        ("outcomes", lambda one: ", ".join(f"{word} {count}" for word, count in one.outcomes.items())),
+    )
+    misses = [(run, arm) for run in result.trials for arm in run.arms if _missed(run, arm)]
+    return with_rows(_target_table(result.targets), counts, *map(_posterior_table, result.posteriors), _misses(misses))
 
 
 def judge_sentences(result: JudgeResult) -> list[str]:
     """State the conditions of the tables: threshold, abbreviations, speed, date, seed, program."""
-    sealed = result.sealed
-    wall, cpu = result.seconds_an_arm, result.cpu_seconds_an_arm
+    sealed, every = result.sealed, [found for run in result.trials for found in run.arms.values()]
     said = [
-        f"Visible: {result.threshold}, each hidden effect alone; below: not so, which counts for the targets of"
-        " pairs and of the held-out error only. Held out: rms over that of the noise sampled at those stops, median and"
-        f" worst. Verdicts: {', '.join(f'{word[0].upper()} {word}' for word in VERDICTS)}."
+        f"Visible: {THRESHOLD}, each hidden effect alone; below: not so, which counts for the targets of pairs and of"
+        " the held-out error only. Held out: rms over that of the noise sampled at those stops."
     ]
-    if wall is not None and cpu is not None:
+    if every:
+        wall, cpu = [found.seconds for found in every], [found.cpu_seconds for found in every]
         said.append(
-            f"Discovery of one arm: median {wall.median:.1f} s, longest {wall.max:.1f} s (processor"
-            f" {cpu.median:.1f} and {cpu.max:.1f} s)."
+            f"Discovery of one arm: median {np.median(wall):.1f} s, longest {max(wall):.1f} s (processor"
+            f" {np.median(cpu):.1f} and {max(cpu):.1f} s)."
         )
     if result.judged_by_other_source:
         said.append(
@@ -686,84 +545,30 @@ def _posterior_table(score: PosteriorScore) -> Table:
     )
 
 
-def _count_table(title: str, groups: Mapping[str, EffectCounts]) -> Table:
-    """Show outcomes of runs that hide the same, separately for effects above and below the noise."""
-    rows = [
-        (f"{name} (confounded){which}" if group.look_alikes else name + which, counts)
-        for name, group in groups.items()
-        for which, counts in (("", group.visible), (", below", group.below))
-        if counts.n
-    ]
-    return table_of(
-        title,
-        rows,
-        ("effect", itemgetter(0)),
-        ("visible µm", lambda row: _range(row[1].visible_um)),
-        ("n", lambda row: row[1].n, "d"),
-        ("named", lambda row: row[1].named, "d"),
-        ("otherwise", lambda row: _otherwise(row[1])),
-        ("among alternatives", lambda row: row[1].in_answer_set, "d"),
-        *_END,
-    )
-
-
-def _otherwise(counts: OutcomeCounts) -> str:
-    return ", ".join(f"{word} {counts.count(word)}" for word in OUTCOMES[1:] if counts.count(word)) or "-"
-
-
-def _clean_table(arms: Mapping[str, CleanCounts]) -> Table:
-    return table_of(
-        "Nothing hidden",
-        arms.items(),
-        ("arms", itemgetter(0)),
-        ("n", lambda row: row[1].n, "d"),
-        ("false names", lambda row: row[1].false_names, "d"),
-        ("false unknown", lambda row: row[1].false_unknown, "d"),
-        *_END,
-    )
-
-
-def _outside_table(laws: Mapping[str, OutsideCounts]) -> Table:
-    return table_of(
-        "Outside the library",
-        laws.items(),
-        ("law", itemgetter(0)),
-        ("visible µm", lambda row: _range(row[1].visible_um)),
-        ("n", lambda row: row[1].n, "d"),
-        ("called unknown", lambda row: row[1].unknown, "d"),
-        ("described", lambda row: row[1].right, "d"),
-        ("in part", lambda row: row[1].part, "d"),
-        ("false names", lambda row: row[1].false_names, "d"),
-        *_END,
-    )
-
-
-def _miss_table(misses: Sequence[Miss]) -> Table:
+def _misses(misses: Sequence[tuple[ScoredRun, str]]) -> Table:
+    """Show arms in which not exactly the hidden effects were found."""
+    rows = [(run, arm, run.arms[arm]) for run, arm in misses]
     return table_of(
         "Misses",
-        misses,
-        ("run", lambda miss: f"{miss.run} {miss.arm}"),
-        ("hidden (visible µm)", lambda miss: miss.hidden or "nothing"),
-        ("found", lambda miss: miss.found or "nothing"),
-        ("or / described", "said"),
-        ("verdict", "verdict"),
-        ("held out", "to_drawn", ".3f"),
+        rows,
+        ("run", lambda row: f"{row[0].run} {row[1]}"),
+        ("hidden (visible µm)", lambda row: hidden_words(row[0], row[1])),
+        ("found", lambda row: " + ".join(row[2].accepted) or "nothing"),
+        ("or / described", lambda row: _also_said(row[2])),
+        ("verdict", lambda row: row[2].verdict),
+        ("held out", lambda row: row[2].to_drawn, ".3f"),
     )
 
 
-def _held_out(state: EndState) -> str:
-    ratio = state.heldout_to_drawn
-    return "" if ratio is None else f"{ratio.median:.3f}, {ratio.max:.3f}"
+def hidden_words(run: ScoredRun, arm: str) -> str:
+    """Describe what an arm hides, as ``backlash/many_plays (84)``: each effect with its law and visible size [µm]."""
+    effects = run.hidden if arm == run.arm else ()
+    words = (f"{one.plant}{f'/{one.law}' if one.law else ''} ({one.visible_um:.0f})" for one in effects)
+    return " + ".join(words) or "nothing"
 
 
-_END: tuple[Field, ...] = (
-    ("held out", lambda row: _held_out(row[1])),
-    ("verdicts", lambda row: " ".join(f"{word[0].upper()}{count}" for word, count in row[1].verdicts.items())),
-)
-
-
-def _range(spread: Spread | None) -> str:
-    if spread is None:
-        return ""
-    low, high = f"{spread.min:.0f}", f"{spread.max:.0f}"
-    return low if low == high else f"{low}-{high}"
+def _also_said(found: ArmFindings) -> str:
+    """List the alternatives of the accepted names, and the descriptions of unknown effects."""
+    others = {slug for answers in found.answer_sets for slug in answers[1:]}
+    described = [f"{term.channel}: {', '.join(term.variables)}" for term in found.described]
+    return "; ".join([*(f"or {slug}" for slug in sorted(others)), *described])

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from cellapp.ground.results import STAGES
 
 Array = NDArray[np.float64]  # not imported from kinematics: that loads scipy, and screens must open fast
-Kind = Literal["line", "points", "steps", "bars"]
+Kind = Literal["line", "points"]
 Key = TypeVar("Key", bound=str)
 """Name of a stage or a method."""
 
@@ -25,8 +25,6 @@ SMALLEST_MM = 1e-6
 """Value of a logarithmic axis for an error of zero [mm]."""
 LEAST = 1e-100
 """Values below this, in any unit, are drawn as zero: differences of denormal numbers are not exact."""
-_BINS = 40
-"""Number of bins of a histogram over all errors."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +48,7 @@ class Series:
     Attributes
     ----------
     kind : str
-        ``line`` joins the points, ``steps`` holds each value up to the next x, ``bars`` fills from zero to each value.
+        ``line`` joins the points.
     band : array, shape (n,), or None
         Half width of a band about y.
     style : int
@@ -80,11 +78,10 @@ class Series:
 
 @dataclass(frozen=True)
 class Limit:
-    """A line across the chart at one value of an axis, as a noise floor or a tolerance."""
+    """A level line across the chart, as a noise floor or a tolerance."""
 
     name: str
     value: float
-    axis: Literal["x", "y"] = "y"
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,10 +92,6 @@ class Chart:
     ----------
     message : str
         The chart in one or two sentences, for those who cannot see it; of an empty chart, why it is empty.
-    categories : tuple of str
-        Names of the bars at x = 0, 1, ...; empty if the x axis has numbers.
-    bar_texts : tuple of str
-        Values of the bars as texts.
     equal : bool
         Whether one unit has the same length along both axes, as in a map.
     by_stage : bool
@@ -113,8 +106,6 @@ class Chart:
     series: tuple[Series, ...]
     message: str
     limits: tuple[Limit, ...] = ()
-    categories: tuple[str, ...] = ()
-    bar_texts: tuple[str, ...] = ()
     equal: bool = False
     y_range: tuple[float, float] | None = None
     by_stage: bool = False
@@ -141,30 +132,14 @@ def series(
     return Series(name, as_array, np.asarray(y, dtype=np.float64), kind, width, style, mark)
 
 
-def bar_chart(title: str, bars: Mapping[str, tuple[float, str]], axis: Axis, message: str) -> Chart:
-    """Build a chart with one bar for each name, labelled with its value as a text."""
-    values, texts = [value for value, _ in bars.values()], tuple(text for _, text in bars.values())
-    drawn = (series(title, np.arange(float(len(bars))), values, "bars"),) if bars else ()
-    return Chart(title, Axis(""), axis, drawn, message, categories=tuple(bars), bar_texts=texts)
-
-
-def noise_limit(floor_mm: float | None, axis: Literal["x", "y"] = "y", name: str = "noise floor") -> tuple[Limit, ...]:
+def noise_limit(floor_mm: float | None, name: str = "noise floor") -> tuple[Limit, ...]:
     """Return the limit at a noise floor [mm]; none if it is unknown."""
-    return () if floor_mm is None else (Limit(name, floor_mm, axis),)
+    return () if floor_mm is None else (Limit(name, floor_mm),)
 
 
 def drawable_mm(errors_mm: ArrayLike) -> Array:
     """Return errors [mm] of at least ``SMALLEST_MM``, for a logarithmic axis."""
     return np.maximum(np.asarray(errors_mm, dtype=np.float64), SMALLEST_MM)
-
-
-def error_counts(
-    errors_mm: Mapping[Key, Array], low: float, high: float, bins: int = _BINS
-) -> tuple[Array, dict[Key, NDArray[np.intp]]]:
-    """Return bin edges (bins + 1,) [mm] from ``low`` to ``high``, even on a logarithmic axis, and the errors in
-    each."""
-    edges = np.geomspace(low, high, bins + 1)
-    return edges, {what: np.histogram(drawable_mm(errors), edges)[0] for what, errors in errors_mm.items()}
 
 
 def enumerated(parts: Iterable[str]) -> str:
@@ -176,12 +151,3 @@ def enumerated(parts: Iterable[str]) -> str:
 def evenly_spread(n: int, most: int) -> NDArray[np.intp]:
     """Return at most ``most`` of n row indices, evenly spread."""
     return np.unique(np.linspace(0, n - 1, min(n, most)).round().astype(np.intp))
-
-
-def levelling_rotation(up_M: Array) -> Array:
-    """Return the smallest rotation (3, 3) that maps ``up_M`` to z (Rodrigues' formula with axis up_M x z)."""
-    x, y, z = up_M
-    if z < -1.0 + 1e-9:
-        return np.diag([1.0, -1.0, -1.0])
-    skew = np.array([[0.0, 0.0, -x], [0.0, 0.0, -y], [x, y, 0.0]])
-    return np.asarray(np.eye(3) + skew + skew @ skew / (1.0 + z))

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from html import escape
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cellapp.commands.view.charts import Array, Chart, Limit, Series
 from cellapp.commands.view.parts import Facts, Parts, Section
@@ -35,7 +34,6 @@ _TOP, _RIGHT, _BOTTOM = 8.0, 12.0, 36.0
 _FONT = 9.5
 _CHARACTER = 0.58
 """Mean width of a digit relative to the font size."""
-_BAR, _BAR_STEP = 8.0, 26.0
 _MOST_TICKS = 6
 """Largest number of ticks of an axis."""
 _MANY = 1000
@@ -44,19 +42,17 @@ _MANY = 1000
 
 def chart_svg(chart: Chart) -> str:
     """Return the chart as an ``svg`` element with colours of the style sheet."""
-    if chart.categories:
-        return svg_element(_SVG_WIDTH, _BAR_STEP * len(chart.categories) + 4.0, _bars(chart))
     x_axis, y_axis = _scales(chart)
     parts = [*_frame(chart, x_axis, y_axis)]
     for one in chart.series:
         parts.append(_drawn(one, look_of(chart, one), x_axis, y_axis))
     parts += [_limit(limit, x_axis, y_axis) for limit in chart.limits]
-    return svg_element(_SVG_WIDTH, _HEIGHT, parts)
+    return svg_element(parts)
 
 
-def svg_element(width: float, height: float, parts: Iterator[str] | list[str]) -> str:
+def svg_element(parts: Iterable[str]) -> str:
     """Return an ``svg`` element that screen readers skip: the figure's caption and message describe it."""
-    head = f'<svg viewBox="0 0 {width:g} {height:g}" font-size="{_FONT}" aria-hidden="true" focusable="false"'
+    head = f'<svg viewBox="0 0 {_SVG_WIDTH:g} {_HEIGHT:g}" font-size="{_FONT}" aria-hidden="true" focusable="false"'
     return f'{head} fill="none" stroke="currentColor" stroke-width="1.4">{"".join(parts)}</svg>'
 
 
@@ -110,9 +106,8 @@ def _frame(chart: Chart, x_axis: Scale, y_axis: Scale) -> Iterator[str]:
 
 
 def _limit(limit: Limit, x_axis: Scale, y_axis: Scale) -> str:
-    at = float((x_axis if limit.axis == "x" else y_axis).place(np.array(limit.value)))
-    line = f"M{at:.1f} {y_axis.begin:.1f}V{y_axis.end:.1f}" if limit.axis == "x" else ""
-    line = line or f"M{x_axis.begin:.1f} {at:.1f}H{x_axis.end:.1f}"
+    at = float(y_axis.place(np.array(limit.value)))
+    line = f"M{x_axis.begin:.1f} {at:.1f}H{x_axis.end:.1f}"
     return f'<path d="{line}" stroke-dasharray="4 3" stroke-width="1"/>'
 
 
@@ -124,8 +119,6 @@ def _drawn(one: Series, look: Look, x_axis: Scale, y_axis: Scale) -> str:
     if one.kind == "points":
         return in_colour(look.colour, _points(pixels, look))
     band = "" if one.band is None else _band(one, x_axis, y_axis)
-    if one.kind == "steps":
-        pixels = np.column_stack([np.repeat(pixels[:, 0], 2)[1:], np.repeat(pixels[:, 1], 2)[:-1]])
     dashes = {"dot": ' stroke-dasharray="1 3" stroke-width="1"', "dash": ' stroke-dasharray="4 3" stroke-width="1"'}
     path = f'<path d="{polyline(pixels)}" stroke-linejoin="round"{dashes.get(look.swatch, "")}/>'
     marks = f'<path d="{dots(pixels)}" stroke-linecap="round" stroke-width="4"/>' if is_marked(one) else ""
@@ -163,25 +156,6 @@ _MARKERS = {
     "diamond": "M{x:.1f} {y:.1f}m0-4l3.5 4l-3.5 4l-3.5-4z",
     "cross": "M{x:.1f} {y:.1f}m-3-3l6 6m0-6l-6 6",
 }
-
-
-# -- bars -------------------------------------------------------------------------------------------------------------
-
-
-def _bars(chart: Chart) -> Iterator[str]:
-    """Yield horizontal bars, the first on top, each with its name above and its value behind."""
-    values: NDArray[np.float64] = np.nan_to_num(chart.series[0].y)
-    if chart.y.logarithmic:  # begin at a tenth of the smallest value, so that its bar has a length too
-        positive = values[values > 0.0]
-        low = 0.1 * float(positive.min(initial=1.0))
-        values = np.log10(np.maximum(values, low) / low)
-    longest = max(float(values.max(initial=0.0)), 1e-300)
-    room = 8.0 + _FONT * _CHARACTER * max(map(len, chart.bar_texts))
-    for row, (value, name, words) in enumerate(zip(values.tolist(), chart.categories, chart.bar_texts, strict=True)):
-        top, length = _BAR_STEP * row, max(value / longest, 0.0) * (_SVG_WIDTH - room)
-        yield text(0.0, top + 10.0, name)
-        yield in_colour("geometry", f'<path d="M0 {top + 18.0:.1f}h{length:.1f}" stroke-width="{_BAR}"/>')
-        yield text(length + 5.0, top + 21.5, words)
 
 
 # -- A chart as a figure of the page, with the same content as in the terminal ----------------------------------------

@@ -18,7 +18,7 @@ from pathlib import Path
 from numpy.typing import ArrayLike
 
 from cellapp.cell.run import RunFile
-from cellapp.commands.report.run import result_parts
+from cellapp.commands.calibrate.view import calibration_tables
 from cellapp.commands.run_results import RunResults, read_results
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of
@@ -99,8 +99,9 @@ class Run(Printed):
         )
 
     def view(self) -> Parts:
-        """Return the errors of the stored results, and which results are out of date."""
-        return result_parts(self.results)
+        """Return the held-out errors, and which results are out of date; ``discovery`` has a view of its own."""
+        tables = [] if self.results.calibrate is None else calibration_tables(self.results.calibrate)
+        return [*tables, *(f"out of date: {name}: {reason}" for name, reason in self.results.out_of_date.items())]
 
     def readings(self, arm: str) -> Readings:
         """Return the readings of one arm. Raises ``InputError`` if there is no such arm with readings."""

@@ -25,7 +25,7 @@ from cellapp.cell.run.stations import require_ties
 from cellapp.cell.targets.ranges import beside
 from cellapp.cell.targets.records import CompensateResult, TargetCommand
 from cellapp.cell.targets.targets import Target, load_targets, targets_in_memory
-from cellapp.commands.calibrate.charts import error_histogram_chart, pair_histogram_chart, stage_chart, stop_error_chart
+from cellapp.commands.calibrate.charts import pair_stop_chart, stop_error_chart
 from cellapp.commands.calibrate.held_out import HeldOutArm
 from cellapp.commands.calibrate.run import calibrate_cell
 from cellapp.commands.calibrate.view import parameters_view
@@ -34,7 +34,7 @@ from cellapp.commands.compensate.run import compensate_targets
 from cellapp.commands.compensate.view import view as compensation_view
 from cellapp.commands.compensate.words import compensate_summary
 from cellapp.commands.discover.run import discover_effects
-from cellapp.commands.discover.view import candidates_chart, gap_chart, picture_chart
+from cellapp.commands.discover.view import picture_chart
 from cellapp.commands.discover.view import view as discovery_view
 from cellapp.commands.doctor.view import profile_tables
 from cellapp.commands.stored_model import values_in_force
@@ -362,11 +362,10 @@ class Calibration(Fitted):
         return [*calibration_view(self.result).parts, "", *parameters_view(self.result).parts]
 
     def charts(self) -> Mapping[str, Callable[[], Sequence[Chart]]]:
-        """Return charts of the held-out errors: by stage, by configuration, as a histogram, and of the pair."""
+        """Return charts of the held-out errors by configuration, of each arm and of the pair."""
         return {
-            "stages": lambda: [stage_chart(name, arm) for name, arm in self.result.arms.items()],
-            **_error_charts(self, self),
-            "pair": lambda: [pair_histogram_chart(self.result)] if self.result.pair else [],
+            "errors": lambda: _error_charts(self, self),
+            "pair": lambda: [pair_stop_chart(self.result)] if self.result.pair else [],
         }
 
 
@@ -400,13 +399,11 @@ class Discovery(Fitted):
         return [*discovery_view(self.result).parts, "", *parameters.parts]
 
     def charts(self) -> Mapping[str, Callable[[], Sequence[Chart]]]:
-        """Return charts: error after each step, probabilities, pictures of the effects, held-out errors."""
+        """Return charts: held-out errors by configuration, pictures of the effects."""
         arms = self.result.arms
         return {
-            "steps": lambda: [gap_chart(name, arm) for name, arm in arms.items()],
-            "candidates": lambda: [candidates_chart(name, arm) for name, arm in arms.items()],
+            "errors": lambda: _error_charts(self, self.calibration),
             "effects": lambda: [picture_chart(name, one) for name, arm in arms.items() for one in arm.pictures],
-            **_error_charts(self, self.calibration),
         }
 
 
@@ -456,7 +453,7 @@ class Compensation(Printed):
         return compensation_view(self.result).parts
 
 
-def _error_charts(newest: Fitted, calibration: Calibration) -> dict[str, Callable[[], Sequence[Chart]]]:
+def _error_charts(newest: Fitted, calibration: Calibration) -> list[Chart]:
     """Return charts of the errors of each arm's held-out readings with every model up to ``newest``."""
     arms = calibration.result.arms
 
@@ -465,12 +462,7 @@ def _error_charts(newest: Fitted, calibration: Calibration) -> dict[str, Callabl
         conditions = newest._conditions[name]
         return HeldOutArm.of(newest.readings[name], conditions, arms[name], calibration.model.arms[name], discovered)
 
-    return {
-        "errors": lambda: [stop_error_chart(name, held_out(name), arm.tracker_mm) for name, arm in arms.items()],
-        "histogram": lambda: [
-            error_histogram_chart(name, held_out(name).errors_mm, arm.tracker_mm) for name, arm in arms.items()
-        ],
-    }
+    return [stop_error_chart(name, held_out(name), arm.tracker_mm) for name, arm in arms.items()]
 
 
 @dataclass(frozen=True, repr=False)

@@ -16,8 +16,8 @@ from cellapp.commands.view.charts import LEAST, Array, Axis, Chart, Series
 from cellapp.commands.view.words import METHOD_WORDS, STAGE_WORDS
 from cellapp.ground.results import STAGES
 
-Swatch = Literal["line", "dot", "dash", "round", "square", "triangle", "diamond", "cross", "bar", "limit"]
-"""Appearance of a series in the legend: line (full, dotted, dashed), points of a shape, bars, a limit."""
+Swatch = Literal["line", "dot", "dash", "round", "square", "triangle", "diamond", "cross", "limit"]
+"""Appearance of a series in the legend: line (full, dotted, dashed), points of a shape, a limit."""
 
 ARM_COLOURS = 4
 """Number of arm colours in the style sheet; higher styles belong to no arm."""
@@ -76,8 +76,6 @@ def look_of(chart: Chart, one: Series) -> Look:
     colours = _STAGE_COLOURS if chart.by_stage else tuple(f"arm{number + 1}" for number in range(ARM_COLOURS))
     guide = _DASHES.get(one.mark) if one.kind != "points" else None
     colour = colours[one.style] if one.style < len(colours) else "soft" if guide else "ink"
-    if one.kind == "bars":
-        return Look(colour, "bar")
     if one.kind != "points":
         return Look(colour, guide or "line")
     several = len(one.x) > FEW
@@ -96,9 +94,7 @@ def series_words(chart: Chart, one: Series) -> str:
 
 
 def legend_of(chart: Chart) -> tuple[LegendEntry, ...]:
-    """Return one entry for each series, and for each limit and band by name; none for bars, which are labelled."""
-    if chart.categories:
-        return ()
+    """Return one entry for each series, and for each limit and band by name."""
     entries = [LegendEntry(look_of(chart, one), series_words(chart, one)) for one in chart.series]
     limits = dict.fromkeys(limit.name for limit in chart.limits)
     entries += [LegendEntry(Look("ink", "limit"), name) for name in limits]
@@ -171,16 +167,14 @@ class Scale:
 
 def chart_scale(chart: Chart, which: Literal["x", "y"], begin: float, end: float) -> Scale:
     """Return the scale of a chart's axis: it shows all series, bands and limits, or the range that the chart gives."""
-    limits = np.array([limit.value for limit in chart.limits if limit.axis == which])
     if which == "x":
-        return scale_of(chart.x, np.concatenate([*(one.x for one in chart.series), limits]), begin, end)
+        return scale_of(chart.x, np.concatenate([one.x for one in chart.series]), begin, end)
     shown = [edge for one in chart.series for edge in one.edges] if chart.y_range is None else [np.array(chart.y_range)]
-    filled = any(one.kind == "bars" for one in chart.series)
-    return scale_of(chart.y, np.concatenate([*shown, limits]), begin, end, zero=filled)
+    return scale_of(chart.y, np.array([*np.concatenate(shown), *(limit.value for limit in chart.limits)]), begin, end)
 
 
-def scale_of(axis: Axis, values: Array, begin: float, end: float, *, zero: bool = False) -> Scale:
-    """Return a scale that shows all finite ``values``; with ``zero`` it includes zero."""
+def scale_of(axis: Axis, values: Array, begin: float, end: float) -> Scale:
+    """Return a scale that shows all finite ``values``."""
     values = drawable(values)
     shown = values[np.isfinite(values) & ((values > 0.0) | (not axis.logarithmic))]
     if len(shown) == 0:
@@ -189,8 +183,8 @@ def scale_of(axis: Axis, values: Array, begin: float, end: float, *, zero: bool 
     if axis.logarithmic:
         room = max((high / low) ** _ROOM, 1.1)
         return Scale(axis, max(low / room, LEAST), min(high * room, _LARGEST), begin, end)
-    if zero or 0.0 <= low < _NEAR_ZERO * high:
-        low, high = min(low, 0.0), max(high, 0.0)
+    if 0.0 <= low < _NEAR_ZERO * high:
+        low = 0.0
     largest = max(abs(low), abs(high))
     room = _ROOM * (high - low) if high - low > _SAME * largest else 0.5 * largest or 0.5
     counted = not axis.unit and bool(np.all(shown == np.rint(shown)))

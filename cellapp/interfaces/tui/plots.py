@@ -17,7 +17,7 @@ TEXT, HEADING, SOFT = -1, -2, -3
 """Inks that are not series: words and axes, title, limits."""
 MARKS = "●▲■◆+×"
 """One mark for each style; further styles repeat them."""
-LIMIT = {"y": "╌", "x": "╎"}
+LIMIT = "╌"
 _BAND = "░"
 _LEAST_ROWS, _LEAST_COLUMNS = 3, 16
 """Smallest data area [cells]: below it a plot says less than its message."""
@@ -33,9 +33,6 @@ _CELLS_A_MARK = 8
 """Cells per mark up to which every point of a cloud has its mark; in a denser cloud marks would hide each other."""
 _MARKED_SHARE = 5
 """Of a dense cloud, every fifth cell shows its mark."""
-_LEAST_BAR = 6
-"""Smallest width of the longest bar [cells], however long the names are."""
-_EIGHTHS = " ▏▎▍▌▋▊▉"
 
 Run = tuple[str, int]
 """A text and its ink: the style of a series, or one of those above."""
@@ -82,9 +79,7 @@ def draw(chart: Chart, width: int, height: int) -> list[Line]:
         return []
     title, message = _wrapped(chart.title, width, HEADING), _wrapped(chart.message, width)
     room = height - len(title)
-    if chart.categories and room > len(message) and width >= _LEAST_COLUMNS:
-        return [*title, *_category_lines(chart, width, room - len(message)), *message]
-    if not chart.is_empty and not chart.categories:
+    if not chart.is_empty:
         for above, below in _words(chart, width, message):
             plot = _plot(chart, width, room - len(above) - len(below))
             if plot is not None:
@@ -169,12 +164,11 @@ def _write_column_labels(cells: Cells, x: Scale, margin: int) -> None:
 
 def _draw_data(chart: Chart, cells: Cells, x: Scale, y: Scale) -> None:
     for limit in chart.limits:
-        scale = x if limit.axis == "x" else y
-        at = round(float(scale.place(np.array([limit.value]))[0]))
-        if 0 <= at <= scale.end:
-            rows, columns = _places(*cells.characters.shape)
-            line = rows == (round(y.end) - at) // DOT_ROWS if limit.axis == "y" else columns == at // DOT_COLUMNS
-            cells.put(np.broadcast_to(line, cells.characters.shape), LIMIT[limit.axis], SOFT)
+        at = round(float(y.place(np.array([limit.value]))[0]))
+        if 0 <= at <= y.end:
+            rows, _ = _places(*cells.characters.shape)
+            line = rows == (round(y.end) - at) // DOT_ROWS
+            cells.put(np.broadcast_to(line, cells.characters.shape), LIMIT, SOFT)
     for one in chart.series:
         _draw_band(one, cells, x, y)
     for one in chart.series:
@@ -207,10 +201,6 @@ def _draw_series(one: Series, cells: Cells, x: Scale, y: Scale, *, several: bool
     dots = no_dots(*cells.characters.shape)
     if one.kind == "line":
         set_line(dots, column, row)
-    elif one.kind == "steps":
-        set_line(dots, *(np.repeat(column, 2)[1:], np.repeat(row, 2)[:-1]))
-    elif one.kind == "bars":
-        set_bars(dots, column, row, y.end - float(y.place(np.zeros(1))[0]))
     else:
         set_points(dots, column, row)
     occupied = occupied_cells(dots)
@@ -227,7 +217,7 @@ def _marked(one: Series, occupied: NDArray[np.bool_], column: Array, row: Array,
     """Return a mask (rows, columns) of the cells with a series' mark: every point if there are few, else some cells."""
     rows, columns = _places(*occupied.shape)
     few = len(one.x) <= (occupied.size // _CELLS_A_MARK if one.kind == "points" else occupied.shape[1] // 4)
-    if one.mark or (few and one.kind in ("points", "line")):
+    if one.mark or few:
         at_points = no_dots(*occupied.shape)
         set_points(at_points, column, row)
         return occupied_cells(at_points)
@@ -248,8 +238,7 @@ def _key_lines(chart: Chart, width: int) -> list[Line]:
     """Return marks and names of the series and limits, if there are several."""
     entries = [(mark_of(one), one.name, one.style) for one in chart.series] if len(chart.series) > 1 else []
     for limit in chart.limits:
-        unit = (chart.x if limit.axis == "x" else chart.y).unit
-        entries.append((LIMIT[limit.axis], f"{limit.name} {limit.value:.3g} {unit}".rstrip(), SOFT))
+        entries.append((LIMIT, f"{limit.name} {limit.value:.3g} {chart.y.unit}".rstrip(), SOFT))
     entries += [(_BAND, "uncertainty", one.style) for one in chart.series if one.band is not None][:1]
     lines: list[Line] = []
     used = width
@@ -260,23 +249,6 @@ def _key_lines(chart: Chart, width: int) -> list[Line]:
             used = -2
         lines[-1] += [("  " if lines[-1] else "", TEXT), (mark, ink), (f" {text}", TEXT)]
         used += 4 + len(text)
-    return lines
-
-
-def _category_lines(chart: Chart, width: int, rows: int) -> list[Line]:
-    """Return one bar per line: name, bar, value."""
-    values = np.nan_to_num(chart.series[0].y)
-    number = max(map(len, chart.bar_texts))
-    names = [_cut(name, width - number - 2 - _LEAST_BAR) for name in chart.categories]
-    label = max(map(len, names))
-    room = max(width - label - number - 2, 1)
-    lines: list[Line] = []
-    for name, value, text in zip(names, values, chart.bar_texts, strict=True):
-        eighths = round(8 * room * max(float(value), 0.0) / (float(values.max()) or 1.0))
-        bar = "█" * (eighths // 8) + (_EIGHTHS[eighths % 8] if eighths % 8 else "")
-        lines.append([(f"{name:>{label}} ", TEXT), (f"{bar:<{room}}", 0), (f" {text:>{number}}", TEXT)])
-    if len(lines) > rows:
-        lines = [*lines[: rows - 1], [(f"and {len(lines) - rows + 1} more", SOFT)]]
     return lines
 
 
@@ -349,18 +321,3 @@ def thinned(column: Array, row: Array) -> tuple[Array, Array]:
     end = np.append(begin[1:], len(column)) - 1
     low, high = np.minimum.reduceat(row, begin), np.maximum.reduceat(row, begin)
     return np.repeat(place[begin], _KEPT), np.column_stack([row[begin], low, high, row[end]]).ravel()
-
-
-def set_bars(dots: Dots, column: Array, row: Array, zero: float) -> None:
-    """Fill from the row ``zero`` to each row, over the range of columns nearest to each column (n,)."""
-    seen = np.isfinite(column) & np.isfinite(row)
-    column, row = column[seen], row[seen]
-    if len(column) == 0:
-        return
-    every = np.arange(dots.shape[1])
-    nearest = np.argmin(np.abs(every[:, np.newaxis] - column), axis=1)
-    width = np.min(np.diff(np.unique(column)), initial=dots.shape[1])
-    in_bar = np.abs(every - column[nearest]) <= 0.4 * width
-    rows = np.arange(dots.shape[0])[:, np.newaxis]
-    low, high = np.minimum(row, zero)[nearest], np.maximum(row, zero)[nearest]
-    dots |= in_bar & (rows >= np.rint(low)) & (rows <= np.rint(high))

@@ -15,7 +15,6 @@ from cellapp.ground.job_client import JOB_FILE, who_uses
 if TYPE_CHECKING:
     from cellapp.cell.driving.records import CollectionResult, StopsResult
     from cellapp.cell.planning.planned_stops import PlannedStops
-    from cellapp.cell.planning.records import PlanDesignResult
     from cellapp.commands.next_step import Conclusion
     from cellapp.commands.run_results import RunResults
     from cellapp.commands.show.result import OverviewResult
@@ -39,8 +38,6 @@ class Workspace:
         The run; None if none is open.
     overview, results, collection, stops, ways
         Content of the run; None without a run. ``ways`` is how each stop is reached, and its purpose.
-    design : PlanDesignResult or None
-        The design of the run's plan; None if it was not designed.
     problem : str
         Why profile or run cannot be used, in a sentence; empty if they can.
     edited : bool
@@ -65,7 +62,6 @@ class Workspace:
     collection: CollectionResult | None = None
     stops: StopsResult | None = None
     ways: PlannedStops | None = None
-    design: PlanDesignResult | None = None
     problem: str = ""
     edited: bool = False
     in_use: str = ""
@@ -160,7 +156,7 @@ def load_workspace(profile_path: Path | None, folder: Path | None) -> Workspace:
 
 
 def _with_run(profile_path: Path | None, profile: Profile | None, folder: Path) -> Workspace:
-    from cellapp.cell.planning.planned_stops import read_plan_design, read_planned_stops
+    from cellapp.cell.planning.planned_stops import read_planned_stops
     from cellapp.cell.run import RunFile
     from cellapp.cell.run.sqlite_file import FILE_NAME, REPORT_FILE
     from cellapp.commands.collect.state import collection_state
@@ -180,7 +176,6 @@ def _with_run(profile_path: Path | None, profile: Profile | None, folder: Path) 
             collection_state(run, results),
             planned_stops(run),
             read_planned_stops(run),
-            read_plan_design(run),
             edited=profile is not None and profile.name == run.profile.name and profile != run.profile,
             in_use=who_uses(folder),
             beside_run=profile,

@@ -11,7 +11,7 @@ import pytest
 from cellapp.cell.profile import load_profile
 from cellapp.cell.targets.records import CompensateResult, MeasuredRelative, TargetCommand, UnknownCondition
 from cellapp.commands.certificate.judgements import judge_characteristics, judge_run
-from cellapp.commands.certificate.statement import CertificateInput, certificate_of, used_instruments
+from cellapp.commands.certificate.statement import certificate_of, used_instruments
 from cellapp.commands.certificate_result import CertificateResult
 from cellapp.commands.run_results import RunResults
 from cellapp.estimation.discovery.records import DiscoverResult, Noise
@@ -31,18 +31,15 @@ LEFT = [measured("a", "left", 0.03), measured("b", "left", 0.05, 0.4)]
 
 def certified(found: RunResults, **tolerances: Any) -> CertificateResult:
     return certificate_of(
-        CertificateInput(
-            number="7",
-            run="run",
-            issued="2026-01-02T12:00:00+00:00",
-            program="cellapp",
-            profile=profile_with(tolerances),
-            results=found,
-            conditions={},
-            controllers={},
-            measured=("2026-04-01T08:00:00+00:00",),
-            rests_on={},
-        )
+        profile_with(tolerances),
+        found,
+        {},
+        {},
+        ("2026-04-01T08:00:00+00:00",),
+        "cellapp",
+        number="7",
+        run="run",
+        issued="2026-01-02T12:00:00+00:00",
     )
 
 

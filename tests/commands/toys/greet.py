@@ -40,7 +40,7 @@ def view(result: GreetResult, request: Request | None = None) -> View:
     """Whom, and how often."""
     rows = tuple((arm, result.times) for arm in result.arms)
     times = [float(result.times)] * len(result.arms)
-    drawn = (series("greetings", range(1, len(times) + 1), times, "bars"),)
+    drawn = (series("greetings", range(1, len(times) + 1), times, "points"),)
     chart = Chart("Greetings", Axis("arm"), Axis("times"), drawn, "Everybody is greeted as often.")
     table = Table("Greeted", (Column("arm"), number_column("times", "d")), rows)
     return View((table, chart, "hello to all of them"))

@@ -20,7 +20,7 @@ from cellapp.commands.collect.charts import residual_drift_chart
 from cellapp.commands.discover.view import is_line
 from cellapp.commands.plan.charts import cell_map_chart, outlined_obstacles, surface_points
 from cellapp.commands.report.data import ReportData, read_report_data
-from cellapp.commands.view.charts import Axis, Chart, Kind, Limit, Series, bar_chart, series
+from cellapp.commands.view.charts import Axis, Chart, Kind, Limit, Series, series
 from cellapp.estimation.discovery.records import Picture
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import AnyObstacle
@@ -145,7 +145,7 @@ values = st.lists(numbers, min_size=1, max_size=80)
 @example(y=[0.0, 5e-324], kind="points", logarithmic=False, equal=True, band=False)
 @given(
     y=values,
-    kind=st.sampled_from(("line", "points", "steps")),
+    kind=st.sampled_from(("line", "points")),
     logarithmic=st.booleans(),
     equal=st.booleans(),
     band=st.booleans(),
@@ -186,7 +186,6 @@ def test_names_that_a_person_wrote_are_no_markup() -> None:
     drawn = series(HOSTILE, [1.0], [2.0], "points")
     chart = Chart(HOSTILE, Axis(HOSTILE), Axis("y"), (drawn,), HOSTILE, (Limit(HOSTILE, 1.0),))
     assert "<b" not in chart_svg(chart)
-    assert "<b" not in chart_svg(bar_chart("t", {HOSTILE: (1.0, HOSTILE)}, Axis("y"), "m"))
 
 
 def test_arrows_have_a_round_scale() -> None:

@@ -158,7 +158,7 @@ def test_it_needs_nothing_else_and_names_are_only_text(whole_page: Page, whole_t
     assert all(value.startswith("#") for value in references)
     assert {value[1:] for value in references} | set(re.findall(r"url\(#([^)]*)\)", whole_text)) <= set(ids)
     figures = re.findall(r"<figure[^>]* id=.*?</figure>", whole_text, re.DOTALL)
-    assert 30 < len(figures) <= 60
+    assert 20 < len(figures) <= 60
     for figure in figures:
         (message,) = re.findall(r'<p class="message">(.*?)</p>', figure, re.DOTALL)
         assert re.search(r"\d.*\.$", message, re.DOTALL), figure[:200]

@@ -21,6 +21,7 @@ from cellapp.commands.certificate_result import (
     CertifiedErrors,
     CertifiedInstrument,
 )
+from cellapp.commands.next_step import Step
 from cellapp.commands.report.data import ReportData
 from cellapp.commands.report.sections import SECTIONS, placed
 from cellapp.commands.report.summary import judged_matrix, summary, verdict
@@ -61,7 +62,7 @@ def judged(
     )
 
 
-def data_of(profile: Profile | None = None, *, next_step: str = "", **results: Any) -> ReportData:
+def data_of(profile: Profile | None = None, *, next_step: Step | None = None, **results: Any) -> ReportData:
     """What a run has, with results as given."""
     found = RunResults(run="/cells/run", **results)
     return ReportData(
@@ -129,9 +130,11 @@ def summaries() -> Iterator[object]:
         "no tolerances": (data_of(TWIN.model_copy(update={"tolerances": Tolerances()})), []),
         "out of date": (data_of(out_of_date={"calibrate": "5 readings were added since"}), position),
         "effects": (data_of(discover=discovery("left", "right")), position),
-        "stops were added": (data_of(next_step="cellapp collect /cells/run"), []),
-        "missing": (data_of(next_step="cellapp discover /cells/run"), []),
-        "to be repeated": (data_of(next_step="cellapp discover /cells/run", out_of_date=outdated), []),
+        "stops were added": (
+            data_of(next_step=Step("Measure the planned stops that are left:", "cellapp collect /cells/run")),
+            [],
+        ),
+        "missing": (data_of(next_step=Step("Go on with:", "cellapp discover /cells/run"), out_of_date=outdated), []),
         "not measured": (data_of(), missing),
     }
     for name, (data, judgements) in cases.items():

@@ -39,7 +39,7 @@ from cellapp.commands.compensate.words import PART_WORDS, compensate_lines, veri
 from cellapp.commands.discover.request import VERB as DISCOVER_VERB
 from cellapp.commands.discover.view import discovery_section
 from cellapp.commands.plan.check_view import design_sentences, design_tables
-from cellapp.commands.plan.run import new_planned_run, stored_plan
+from cellapp.commands.plan.run import new_planned_run, planned_stops
 from cellapp.commands.plan.view import plan_section
 from cellapp.commands.report.data import out_of_date_lines, read_report_data
 from cellapp.commands.report.sections import report_sections
@@ -364,7 +364,7 @@ def test_a_plan_is_shown_with_its_design_which_stays_with_it(tmp_path: Path) -> 
         assert plain is not None
         assert designed is not None
         assert_approved(APPROVED / "plans.txt", text_of([plain, designed]), without_digits)
-        assert stored_plan(run).design == plan_design(12)
+        assert planned_stops(run).design == plan_design(12)
         write_planned_stops(run, read_planned_stops(run))
         assert read_plan_design(run) == plan_design(12)
     with RunFile.create(tmp_path / "imported", small_twin()) as run:

@@ -89,12 +89,12 @@ def test_charts_are_drawn_by_name(run: cellapp.Run, tmp_path: Path) -> None:
     for result in (run.calibration, run.discovery):
         for name in result.charts():
             assert "<svg " in result.plot(name).html
-    steps = run.discovery.plot()
-    assert "Arm left: " in steps._repr_html_()
-    assert "--geometry: #" in steps.html
-    steps.save(tmp_path / "steps.html")
-    assert (tmp_path / "steps.html").read_text("utf-8") == steps.html
-    with pytest.raises(cellapp.InputError, match="plot: nothing is called 'error'; known are steps, candidates,"):
+    effects = run.discovery.plot("effects")
+    assert "Arm left: " in effects._repr_html_()
+    assert "--geometry: #" in effects.html
+    effects.save(tmp_path / "effects.html")
+    assert (tmp_path / "effects.html").read_text("utf-8") == effects.html
+    with pytest.raises(cellapp.InputError, match="plot: nothing is called 'error'; known are errors, effects"):
         run.discovery.plot("error")
 
 

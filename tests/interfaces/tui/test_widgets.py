@@ -279,7 +279,7 @@ NUMBERS = st.one_of(
 @given(
     x=arrays(np.float64, st.integers(0, 30), elements=NUMBERS, fill=st.nothing()),
     seed=st.integers(0, 2**32 - 1),
-    kind=st.sampled_from(["line", "points", "steps", "bars"]),
+    kind=st.sampled_from(["line", "points"]),
     size=st.tuples(st.integers(0, 90), st.integers(0, 30)),
     logarithmic=st.booleans(),
     equal=st.booleans(),

@@ -35,11 +35,12 @@ from cellapp.interfaces.tui.widgets.parts_view import words_first
 from cellapp.interfaces.tui.workspace import Step, Workspace, new_folder
 
 if TYPE_CHECKING:
-    from cellapp.commands.report.summary import RunVerdict
+    from cellapp.commands.view.parts import Parts
+    from cellapp.commands.view.words import Verdict
 
 
-def verdict(folder: Path) -> RunVerdict | None:
-    """Read judgements, marks and next steps of a run; None if it cannot be read. Call it in a separate thread."""
+def verdict(folder: Path) -> tuple[Verdict, Parts] | None:
+    """Read the verdict on a run, its judgements and next steps; None if it cannot be read. Call it in a thread."""
     from datetime import UTC, datetime
 
     from cellapp.cell.run import RunFile
@@ -187,23 +188,20 @@ class AcceptScreen(TabsScreen):
         if not get_current_worker().is_cancelled:  # else another run is being read
             self.call_later(self._show_verdict, workspace, read)
 
-    def _show_verdict(self, workspace: Workspace, verdict: RunVerdict | None) -> None:
+    def _show_verdict(self, workspace: Workspace, read: tuple[Verdict, Parts] | None) -> None:
         """Draw the judgements, unless another workspace was opened meanwhile."""
         if workspace is self._shown:
-            self._draw_verdict(verdict, _UNREADABLE)
+            self._draw_verdict(read, _UNREADABLE)
 
-    def _draw_verdict(self, verdict: RunVerdict | None, why_not: str) -> None:
-        from cellapp.commands.report.summary import verdict_sentences, verdict_tables
-
-        tables = self.tab("Verdict")
-        if verdict is None:
+    def _draw_verdict(self, read: tuple[Verdict, Parts] | None, why_not: str) -> None:
+        if read is None:
             self._draw_decision("", why_not)
-            tables.show([])
+            self.tab("Verdict").show([])
             return
-        needs = self.state.not_calibrated
+        (verdict, parts), needs = read, self.state.not_calibrated
         words = f"{needs} {_NOMINAL}" if needs else f"{verdict.title}. {verdict.sentence}"
         self._draw_decision(verdict.state or "", words)
-        tables.show((*verdict_tables(verdict), *verdict_sentences(verdict)))
+        self.tab("Verdict").show(parts)
 
     def _draw_decision(self, state: str, sentence: str) -> None:
         self.query_one("#decision", Line).say(sentence, state.replace(" ", "-"))

@@ -1,4 +1,4 @@
-"""The screen Calibrate: errors by stage as tables and bars, residuals per joint and in space, parameters.
+"""The screen Calibrate: errors by stage as tables, errors by configuration as charts, parameters.
 
 Dialog for the format and the file of an export of calibrated arms or commands for other programs.
 """
@@ -20,7 +20,7 @@ from textual.widgets.option_list import Option
 from cellapp.cell.exports.arm_export import ExportResult
 from cellapp.cell.exports.formats import all_formats
 from cellapp.commands.calibrate import request
-from cellapp.commands.calibrate.charts import error_histogram_chart, pair_histogram_chart, stage_chart
+from cellapp.commands.calibrate.charts import pair_stop_chart, stop_error_chart
 from cellapp.commands.calibrate.view import calibration_tables, parameters_view, tracker_sentences
 from cellapp.commands.export.request import STAGES, VERB
 from cellapp.commands.report.data import ReportData
@@ -157,10 +157,8 @@ class CalibrateScreen(TabsScreen):
         charts: list[Chart] = []
         if data is not None:
             shown = data.calibrate if data.discover is None else with_effects(data.calibrate, data.discover)
-            for name, arm in data.held_out.items():
-                charts.append(stage_chart(name, shown.arms[name]))
-                charts.append(error_histogram_chart(name, arm.errors_mm, shown.arms[name].tracker_mm))
-            charts.append(pair_histogram_chart(shown))
+            charts = [stop_error_chart(name, arm, shown.arms[name].tracker_mm) for name, arm in data.held_out.items()]
+            charts.append(pair_stop_chart(shown))
             parts = parameters_view(values_in_force(data.calibrate, data.model)).parts
             self.tab("Parameters").show(parts, self.outdated(CALIBRATE, "go", "calibrates again"))
         self.tab("Errors").show(charts)

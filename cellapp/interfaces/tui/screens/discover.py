@@ -1,4 +1,4 @@
-"""The screen Discover: error after each step, effects with probabilities, pictures, what to check, proposed stops."""
+"""The screen Discover: what was found with its evidence and pictures, what to check, proposed stops."""
 
 from __future__ import annotations
 
@@ -8,9 +8,7 @@ from textual.binding import BindingType
 
 from cellapp.commands.collect.request import VERB as COLLECT
 from cellapp.commands.discover import request
-from cellapp.commands.discover.tables import discovery_tables
-from cellapp.commands.discover.view import candidates_chart, explanation_text, gap_chart, picture_chart, proposal_lines
-from cellapp.commands.discover.words import verdict_lines, verdict_sentence
+from cellapp.commands.discover.view import found_parts, proposal_parts
 from cellapp.commands.docs.keys import SHOWN
 from cellapp.estimation.discovery.records import DiscoverResult
 from cellapp.ground.counting import counted
@@ -38,7 +36,7 @@ class DiscoverScreen(TabsScreen):
         bind("tab", "next_tab", "Next tab"),
     ]
 
-    TABS: ClassVar[tuple[str, ...]] = ("Gap", "Names", "Pictures", "Check", "Proposed stops")
+    TABS: ClassVar[tuple[str, ...]] = ("Found", "Proposed stops")
     EMPTY: ClassVar[str] = f"Nothing was searched yet: {SHOWN['go']} searches for missing effects."
 
     # -- keys ----------------------------------------------------------------------------------------------------------
@@ -79,13 +77,6 @@ class DiscoverScreen(TabsScreen):
             for title in self.TABS:
                 self.tab(title).show([])
             return
-        outdated = self.outdated(DISCOVER, "go", "searches again")
-        verdicts = [f"Arm {name}: {arm.verdict}. {verdict_sentence(name, arm)}" for name, arm in found.arms.items()]
-        charts = (chart(name, arm) for name, arm in found.arms.items() for chart in (gap_chart, candidates_chart))
-        self.tab("Gap").show((*verdicts, *charts), outdated)
-        self.tab("Names").show((*discovery_tables(found), *verdict_lines(found)), outdated)
-        pictures = [picture_chart(name, one) for name, arm in found.arms.items() for one in arm.pictures]
-        self.tab("Pictures").show(pictures)
-        self.tab("Check").show([explanation_text(found)])
-        proposal = _NO_PROPOSAL if found.proposal is None else "\n".join(proposal_lines(found.proposal))
-        self.tab("Proposed stops").show([proposal])
+        self.tab("Found").show(found_parts(found), self.outdated(DISCOVER, "go", "searches again"))
+        proposal = [_NO_PROPOSAL] if found.proposal is None else proposal_parts(found.proposal)
+        self.tab("Proposed stops").show(proposal)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 from rich.text import Text
-from textual import on, work
+from textual import on
 from textual.app import ComposeResult
 from textual.binding import BindingType
 from textual.widgets import DataTable, Static, TabbedContent, TabPane
@@ -28,7 +28,6 @@ from cellapp.interfaces.tui.workspace import Step, Workspace, new_folder
 if TYPE_CHECKING:
     from cellapp.cell.driving.records import PlannedStop
     from cellapp.cell.planning.records import PlanCheckResult, PlanForecastResult
-    from cellapp.commands.view.parts import Parts
     from cellapp.ground.results import Result
 
 
@@ -170,6 +169,7 @@ class PlanScreen(DayScreen):
     def show_run(self, workspace: Workspace) -> None:
         """Draw the constraints, the plan and its maps."""
         from cellapp.commands.doctor.view import profile_tables
+        from cellapp.commands.plan.check_view import design_parts
 
         planned = (workspace.folder, *(stop.q for stop in _stops_of(workspace)))
         if planned != self._planned:  # check and forecast depend on the joint positions of all stops
@@ -178,29 +178,12 @@ class PlanScreen(DayScreen):
         self.query_one("#constraints", PartsView).show(tables[1:])
         for drawn in self.query(CellMap):
             drawn.show_cell(workspace.profile, _stops_of(workspace))
-        self._make_charts(workspace)
+        self.query_one("#plan-design", PartsView).show(() if workspace.stops is None else design_parts(workspace.stops))
         self._draw_results()
 
     def show_state(self, state: RunState) -> None:
         """Say how much is planned and measured, or what to do."""
         self.query_one("#plan-state", Line).say(_state_words(state, self.workspace))
-
-    @work(thread=True, exclusive=True, group="charts", description="charts")
-    def _make_charts(self, workspace: Workspace) -> None:
-        """Make the charts of the design in a thread: the numerics take half a second to load."""
-        from cellapp.commands.plan.check_view import load_sentences, sweep_sentences
-        from cellapp.commands.plan.view import design_charts_of, design_tables_of
-
-        profile, stops, ways, design = workspace.profile, workspace.stops, workspace.ways, workspace.design
-        if profile is not None and ways is not None and stops is not None and stops.stops:
-            sentences = (*load_sentences(stops.loads), *sweep_sentences(stops.sweeps))
-            charts = design_charts_of(profile, stops.stops, ways, design)
-            self.call_later(self._show_design, workspace, (*sentences, *charts, *design_tables_of(design)))
-
-    def _show_design(self, workspace: Workspace, parts: Parts) -> None:
-        """Show the design, unless another run was opened meanwhile."""
-        if workspace is self._shown:
-            self.query_one("#plan-design", PartsView).show(parts)
 
     def _draw_results(self) -> None:
         """Draw check and forecast, or which keys start them."""

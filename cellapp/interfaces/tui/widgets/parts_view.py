@@ -19,8 +19,6 @@ LEAST_COLUMNS = 56
 """Width of a chart: two fit side by side into a terminal of 120 columns."""
 _ROWS = 16
 """Lines of a chart with axes: half of a typical terminal."""
-_WORDS = 5
-"""Lines of title and message around bars."""
 
 
 class ScrolledPlot(ChartPlot):
@@ -28,8 +26,7 @@ class ScrolledPlot(ChartPlot):
 
     def get_content_height(self, container: Size, viewport: Size, width: int) -> int:
         """Return the number of lines of the drawing."""
-        bars = 0 if self.chart is None else len(self.chart.categories)
-        return bars + _WORDS if bars else _ROWS
+        return _ROWS
 
 
 class PartsView(VerticalScroll):
