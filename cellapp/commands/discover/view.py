@@ -1,6 +1,6 @@
 """The result of ``discover``: a section for each arm; on the page of a run also how discovery decides.
 
-Pictures of effects as charts.
+Charts of a discovery: held-out error step by step, pictures of effects.
 """
 
 from __future__ import annotations
@@ -16,7 +16,10 @@ from cellapp.commands.discover.tables import (
     candidates_table,
     cycle_table,
     evidence_table,
+    gap_steps,
     invisible_table,
+    noise_floor,
+    noise_floor_words,
     not_found_table,
     numbered_steps_table,
     size_tables,
@@ -39,7 +42,7 @@ from cellapp.commands.discover.words import (
     verdict_sentence,
 )
 from cellapp.commands.record import Request, View
-from cellapp.commands.view.charts import Axis, Chart, series
+from cellapp.commands.view.charts import Axis, Chart, drawable_mm, noise_limit, series
 from cellapp.commands.view.parts import Facts, Part, Section, section_of, sentence
 from cellapp.commands.view.table import table_of, with_rows
 from cellapp.commands.view.words import law_words, place_words, ranges, short_reason
@@ -51,6 +54,7 @@ from cellapp.estimation.discovery.records import (
     Proposal,
     ProposalQuestion,
 )
+from cellapp.ground.counting import mm
 from cellapp.ground.profile.schema import DiscoverySettings
 from cellapp.robot.kinematics.transforms import Array
 
@@ -90,6 +94,7 @@ def arm_section(key: str, name: str, arm: ArmDiscoveryResult, certainty: Sequenc
     parts: list[Part] = [
         *_remarks(arm),
         *remainder_sentences(arm),
+        gap_chart(name, arm),
         *certainty,
         *found,
         *_meanings(arm),
@@ -250,6 +255,39 @@ _SMOOTH = 0.02
 """Points farther off the line between their neighbours, as a share of the range, are drawn as a cloud, not a line."""
 _BAND_SIGMAS = 2.0
 """Half width of a drawn band in standard deviations."""
+
+
+def gap_chart(name: str, arm: ArmDiscoveryResult) -> Chart:
+    """Show the held-out error before the search and after each step, with the noise floor."""
+    steps, floor = gap_steps(arm), noise_floor(arm)
+    gaps = drawable_mm([gap for _, gap in steps])
+    drawn = series("held-out rms", np.arange(float(len(gaps))), gaps)
+    limits = noise_limit(floor, name=noise_floor_words(arm))
+    axis = Axis("held-out rms", "mm", logarithmic=True)
+    message = _gap_message(arm, floor)
+    return Chart(f"Arm {name}: error after each step", Axis("step"), axis, (drawn,), message, limits)
+
+
+def _gap_message(arm: ArmDiscoveryResult, floor_mm: float | None) -> str:
+    before, after = arm.heldout_mm.before, arm.heldout_mm.after
+    floor = "" if floor_mm is None else f" The {noise_floor_words(arm)} is {mm(floor_mm)}."
+    if not arm.accepted:
+        return f"Held-out error is {mm(after)}; the search added no effect.{floor}"
+    if after >= before:
+        return f"Held-out error did not fall: {mm(before)} before, {mm(after)} after.{floor}"
+    share, effect = _largest_step(arm)
+    cause = f"; {effect.replace('_', ' ')} explains {'most' if share > 0.5 else f'{share:.0%}'} of it" if effect else ""
+    return f"Held-out error fell from {mm(before)} to {mm(after)}{cause}.{floor}"
+
+
+def _largest_step(arm: ArmDiscoveryResult) -> tuple[float, str]:
+    """Return the largest share of the squared error that one effect removed, and the effect; empty if none is named."""
+    total = arm.heldout_mm.before**2 - arm.heldout_mm.after**2
+    taken: dict[str, float] = {}
+    for before, step in zip(arm.steps, arm.steps[1:], strict=False):
+        if step.effect:
+            taken[step.effect] = taken.get(step.effect, 0.0) + before.heldout_mm**2 - step.heldout_mm**2
+    return max(((gain / total, effect) for effect, gain in taken.items()), default=(0.0, ""))
 
 
 def picture_chart(name: str, picture: Picture) -> Chart:

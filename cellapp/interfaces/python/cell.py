@@ -34,7 +34,7 @@ from cellapp.commands.compensate.run import compensate_targets
 from cellapp.commands.compensate.view import view as compensation_view
 from cellapp.commands.compensate.words import compensate_summary
 from cellapp.commands.discover.run import discover_effects
-from cellapp.commands.discover.view import picture_chart
+from cellapp.commands.discover.view import gap_chart, picture_chart
 from cellapp.commands.discover.view import view as discovery_view
 from cellapp.commands.doctor.view import profile_tables
 from cellapp.commands.stored_model import values_in_force
@@ -399,9 +399,10 @@ class Discovery(Fitted):
         return [*discovery_view(self.result).parts, "", *parameters.parts]
 
     def charts(self) -> Mapping[str, Callable[[], Sequence[Chart]]]:
-        """Return charts: held-out errors by configuration, pictures of the effects."""
+        """Return charts: error after each step, held-out errors by configuration, pictures of the effects."""
         arms = self.result.arms
         return {
+            "steps": lambda: [gap_chart(name, arm) for name, arm in arms.items()],
             "errors": lambda: _error_charts(self, self.calibration),
             "effects": lambda: [picture_chart(name, one) for name, arm in arms.items() for one in arm.pictures],
         }

@@ -113,7 +113,7 @@ class Drawing:
         return self.html
 
     def save(self, path: str | Path) -> None:
-        """Write the charts into a file, as ``effects.html``; it is replaced if it is there."""
+        """Write the charts into a file, as ``steps.html``; it is replaced if it is there."""
         RENEWED.write_text(Path(path), self.html)
 
 

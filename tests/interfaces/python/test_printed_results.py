@@ -94,7 +94,7 @@ def test_charts_are_drawn_by_name(run: cellapp.Run, tmp_path: Path) -> None:
     assert "--geometry: #" in effects.html
     effects.save(tmp_path / "effects.html")
     assert (tmp_path / "effects.html").read_text("utf-8") == effects.html
-    with pytest.raises(cellapp.InputError, match="plot: nothing is called 'error'; known are errors, effects"):
+    with pytest.raises(cellapp.InputError, match="plot: nothing is called 'error'; known are steps, errors, effects"):
         run.discovery.plot("error")
 
 
