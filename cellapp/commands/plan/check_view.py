@@ -183,7 +183,9 @@ def plan_lines(result: PlanResult) -> list[str]:
 
 def design_parts(plan: PlanResult | StopsResult) -> list[Table | str]:
     """Show how good the design is if the plan was designed, its loads and its sweeps."""
-    designed = [] if plan.design is None else [*design_tables(plan.design), *design_sentences(plan.design)]
+    designed: list[Table | str] = []
+    if plan.design is not None:
+        designed = [*design_tables(plan.design), *design_sentences(plan.design)]
     return [*designed, *load_sentences(plan.loads), *sweep_sentences(plan.sweeps)]
 
 
