@@ -15,9 +15,8 @@ from cellapp.cell.targets.path import PathResult
 from cellapp.cell.targets.records import CompensateResult, TargetCommand, VerifyResult
 from cellapp.commands.certificate_result import CertificateResult
 from cellapp.commands.stages import RunStages, read_stages
-from cellapp.commands.stored_model import joined_calibration
 from cellapp.estimation.calibration.records import CalibrateResult, PairMethodResult
-from cellapp.estimation.discovery.records import DiscoverResult
+from cellapp.estimation.discovery.records import DiscoverResult, with_effects
 from cellapp.estimation.iso9283.records import Iso9283Result
 from cellapp.estimation.monitoring.records import CheckResult, LocateResult
 from cellapp.estimation.uncertainty.budget import BudgetEvidence, MeasuredConditions
@@ -102,8 +101,8 @@ def read_results(run: RunFile, stages: RunStages | None = None) -> RunResults:
         except InputError:
             out_of_date[name] = UNREADABLE
     if CALIBRATE in found:
-        discover = None if DISCOVER in stages.out_of_date else found.get(DISCOVER)
-        found[CALIBRATE] = joined_calibration(found[CALIBRATE], discover)
+        discover, calibrate = None if DISCOVER in stages.out_of_date else found.get(DISCOVER), found[CALIBRATE]
+        found[CALIBRATE] = calibrate.without_effects() if discover is None else with_effects(calibrate, discover)
     return RunResults(run=str(run.folder), out_of_date=out_of_date, **found)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -12,10 +11,9 @@ from cellapp.cell.run.file import RunFile
 from cellapp.commands.stages import CALIBRATION_FILE, Basis, RunStages, StoredStage, append_stage
 from cellapp.estimation.calibration.records import CalibrateResult, largest_correlations, tied_estimates
 from cellapp.estimation.calibration.station_location import wrong_factory
-from cellapp.estimation.discovery.records import DiscoverResult, with_effects
 from cellapp.estimation.monitoring.parameter_changes import CalibratedArm, combinations
 from cellapp.ground.errors import InputError
-from cellapp.ground.results import CALIBRATE, DISCOVER, LOCATE, Result, StageName
+from cellapp.ground.results import CALIBRATE, LOCATE, Result, StageName
 from cellapp.ground.shell import shell_word
 from cellapp.robot.model.model import CellModel
 
@@ -137,22 +135,3 @@ def comparable_arms(run: RunFile, stages: RunStages) -> dict[str, CalibratedArm]
         for name, arm in model.arms.items()
         if (own := stored.arms.get(name)) is not None and arm.covariance is not None
     }
-
-
-def joined_calibration(calibrate: CalibrateResult, discover: DiscoverResult | None) -> CalibrateResult:
-    """Return a stored calibration, with the stage ``effects`` of the discovery if there is one that holds."""
-    return calibrate.without_effects() if discover is None else with_effects(calibrate, discover)
-
-
-def read_calibration(run: RunFile, stages: RunStages) -> CalibrateResult | None:
-    """Return the stored calibration as ``joined_calibration``; None if this version finds none that it can read."""
-    calibrated, discovered = stages.current.get(CALIBRATE), stages.current.get(DISCOVER)
-    discover = None
-    if discovered is not None and DISCOVER not in stages.out_of_date:
-        with suppress(InputError):  # another version stored it
-            discover = DiscoverResult.from_json(discovered.text, f"{run.path}: {DISCOVER}")
-    with suppress(InputError):
-        if calibrated is not None:
-            stored = CalibrateResult.from_json(calibrated.text, f"{run.path}: {CALIBRATE}")
-            return joined_calibration(stored, discover)
-    return None

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from cellapp.cell.run import RunFile
+from cellapp.commands.run_results import read_results
 from cellapp.commands.stages import RunStages, read_history, read_stages, tracker_moved
-from cellapp.commands.stored_model import read_calibration
 from cellapp.estimation.calibration.least_squares import mean_variance
 from cellapp.estimation.monitoring.records import LocateResult
 from cellapp.estimation.readings.readings import stated_uncertainty
@@ -68,8 +68,7 @@ def excess_of_readings(run: RunFile, model: CellModel) -> dict[str, float]:
 
     It is the model's own value; without one it follows from the errors at held-out stops.
     """
-    stored = read_calibration(run, read_stages(run))
-    found = {}
+    stored, found = read_results(run).calibrate, {}
     for name, arm in model.arms.items():
         noise_m = 0.0 if arm.posterior is None else arm.posterior.noise.m
         if arm.posterior is None and stored is not None:
