@@ -18,7 +18,8 @@ from cellapp.commands.calibrate.held_out import HeldOutArm
 from cellapp.commands.certificate.judgements import judge_run
 from cellapp.commands.next_step import Step, arm_states, missing_step
 from cellapp.commands.run_results import RunResults, read_results
-from cellapp.commands.stages import HERE, RunStages, next_command, read_stages
+from cellapp.commands.stages import HERE, next_command, read_stages
+from cellapp.commands.stored_model import model_of
 from cellapp.estimation.calibration.quantities import conditions_of_arms
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import DiscoverResult
@@ -28,8 +29,6 @@ from cellapp.estimation.uncertainty.records import Judgement
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import CALIBRATE, CHECK, DISCOVER, StageName
-from cellapp.robot.effects import MeasurementConditions
-from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import CellModel
 
 
@@ -78,31 +77,16 @@ class ReportData:
         return judge_run(self.profile, self.results, measured_conditions(self.readings))
 
     @cached_property
-    def conditions(self) -> Mapping[str, MeasurementConditions]:
-        """The conditions of the readings of each arm."""
-        return conditions_of_arms(self.model.arms, self.readings)
-
-    @cached_property
-    def residuals_M(self) -> Mapping[str, Array]:
-        """Measured minus computed positions (n, 3) [m] of all readings of each arm, with the newest model."""
-        return {
-            name: readings.p_M - self.model.arms[name].predict(readings.q, conditions=self.conditions[name])
-            for name, readings in self.readings.items()
-        }
-
-    @cached_property
     def held_out(self) -> Mapping[str, HeldOutArm]:
         """The held-out readings of each arm, without gross errors, with the predictions of every stage."""
-        return {name: self._held_out_arm(name, self.conditions[name]) for name in self.calibrated.arms}
-
-    def _held_out_arm(self, name: str, conditions: MeasurementConditions) -> HeldOutArm:
-        return HeldOutArm.of(
-            self.readings[name],
-            conditions,
-            self.calibrate.arms[name],
-            self.calibrated.arms[name],
-            None if self.discovered is None else self.discovered.arms[name],
-        )
+        discovered = {} if self.discovered is None else self.discovered.arms
+        conditions = conditions_of_arms(self.model.arms, self.readings)
+        return {
+            name: HeldOutArm.of(
+                self.readings[name], conditions[name], self.calibrate.arms[name], arm, discovered.get(name)
+            )
+            for name, arm in self.calibrated.arms.items()
+        }
 
 
 def read_report_data(run: RunFile) -> ReportData:
@@ -119,17 +103,16 @@ def read_report_data(run: RunFile) -> ReportData:
     if results.calibrate is None:
         reason = results.out_of_date.get(CALIBRATE, "not calibrated yet")
         raise InputError(f"{run.path}: {reason}, nothing to report; run '{again}' first")
-    calibrated = _stored_model(run, stages, CALIBRATE)
-    if calibrated is None or stages.in_force is None or stages.in_force.model is None:
+    if stages.in_force is None or stages.in_force.model is None:
         raise InputError(f"{run.path}: the calibrated model is missing; run '{again}' first")
-    discovered = None if results.held.discover is None else _stored_model(run, stages, DISCOVER)
-    measured, missing = run.arms(), missing_step(run, stages, arm_states(run), HERE)
+    calibrated, measured = model_of(run, stages.current[CALIBRATE]), run.arms()
+    missing = missing_step(run, stages, arm_states(run), HERE)
     return ReportData(
         profile=run.profile,
         results=results,
         calibrate=results.calibrate,
         calibrated=calibrated,
-        discovered=discovered,
+        discovered=None if results.held.discover is None else model_of(run, stages.current[DISCOVER]),
         readings={
             name: run.readings(name) if name in measured else known_readings(run, name) for name in calibrated.arms
         },
@@ -138,11 +121,6 @@ def read_report_data(run: RunFile) -> ReportData:
         model_in_force=stages.in_force.model,
         next_step=None if missing is None or missing.verb == "report" else missing,
     )
-
-
-def _stored_model(run: RunFile, stages: RunStages, name: StageName) -> CellModel | None:
-    text = stages.current[name].model
-    return None if text is None else CellModel.from_json(text, f"{run.path}: model of '{name}'")
 
 
 STAGE_TITLES: dict[StageName, str] = {

@@ -55,7 +55,7 @@ from cellapp.commands.view.parts import Facts, Section, section_of
 from cellapp.commands.view.table import Cell, Table, columns_of
 from cellapp.commands.view.words import RULE_WORDS, judged_sentence, judgement_table
 from cellapp.estimation.calibration.identification import start_from_nominal
-from cellapp.estimation.calibration.quantities import position_errors
+from cellapp.estimation.calibration.quantities import measured_minus_computed, position_errors
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.ground.counting import counted, mm
 from cellapp.ground.profile import Arm, Profile
@@ -351,7 +351,8 @@ def _residuals(data: ReportData) -> Section:
     }
     words = enumerated(f"{mm(rms)} rms on arm {name}" for name, rms in residual.items())
     message = f"The identified lengths and angles alone leave {words}; a pattern in the arrows is an effect."
-    runs = (residual_drift_chart(name, data.readings[name].time_s, off) for name, off in data.residuals_M.items())
+    residuals_M = measured_minus_computed(data.model, data.readings)
+    runs = (residual_drift_chart(name, data.readings[name].time_s, off) for name, off in residuals_M.items())
     vectors = (
         chart
         for name, held_out in data.held_out.items()

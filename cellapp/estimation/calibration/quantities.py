@@ -30,12 +30,13 @@ from cellapp.robot.kinematics.statics import base_moment
 from cellapp.robot.kinematics.transforms import (
     Array,
     angular_rows,
+    apply,
     mean_rotation,
     quaternions_of,
     rotation_vectors,
     rotations_of,
 )
-from cellapp.robot.model import ArmModel
+from cellapp.robot.model import ArmModel, CellModel
 
 NOT_STATED = 1e-8
 """Standard uncertainty [m, rad] of a kind that states none while the other does: all of its scatter is estimated."""
@@ -302,6 +303,18 @@ def conditions_of_arms(
         other = (models[others[0]], readings[others[0]]) if len(others) == 1 else None
         found[name] = measurement_conditions(own, other)
     return found
+
+
+def measured_minus_computed(model: CellModel, readings: Mapping[str, Readings]) -> dict[str, Array]:
+    """Compute residuals (n, 3) [m] in frame M of all readings of each arm, in their order and at their conditions."""
+    conditions = conditions_of_arms(model.arms, readings)
+    return {
+        name: np.asarray(
+            (arm.p_M if model.T_M_M0 is None else apply(model.T_M_M0, arm.p_M))
+            - model.arms[name].predict(arm.q, conditions=conditions[name])
+        )
+        for name, arm in readings.items()
+    }
 
 
 @dataclass(frozen=True, eq=False)

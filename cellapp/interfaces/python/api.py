@@ -23,12 +23,13 @@ from cellapp.commands.run_results import RunResults, read_results
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of
 from cellapp.commands.view.parts import Parts
+from cellapp.estimation.calibration.quantities import measured_minus_computed
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import CALIBRATE, DISCOVER, STAGE_NAMES, StageName
 from cellapp.ground.shell import shell_word
-from cellapp.interfaces.python.cell import Calibration, Discovery, measured_minus_computed
+from cellapp.interfaces.python.cell import Calibration, Discovery
 from cellapp.interfaces.python.printed import Printed
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import CellModel

@@ -42,7 +42,7 @@ from cellapp.commands.view.charts import Chart
 from cellapp.commands.view.parts import Parts
 from cellapp.commands.view.table import Table, columns_of
 from cellapp.estimation.calibration.calibrate import missing_splits
-from cellapp.estimation.calibration.quantities import conditions_of_arms
+from cellapp.estimation.calibration.quantities import conditions_of_arms, measured_minus_computed
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import DiscoverResult
 from cellapp.estimation.readings import Readings
@@ -53,7 +53,7 @@ from cellapp.ground.profile import Profile
 from cellapp.ground.progress import UNATTENDED, JobToken
 from cellapp.interfaces.python.printed import Charted, Printed
 from cellapp.robot.effects import MeasurementConditions, TemperatureRecord
-from cellapp.robot.kinematics.transforms import Array, apply
+from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel, CellModel
 from cellapp.robot.model.arguments import configurations, of_arm, require_radians, too_heavy
 
@@ -223,18 +223,6 @@ def _values(where: str, value: Any, shape: tuple[int, ...] | None) -> Array:
     except (TypeError, ValueError):
         words = "numbers" if shape is None else f"shape {shape} or one number for all"
         raise InputError(f"{where}: expected {words}, got {value!r:.60}") from None
-
-
-def measured_minus_computed(model: CellModel, readings: Mapping[str, Readings]) -> dict[str, Array]:
-    """Compute residuals (n, 3) [m] in frame M of all readings of each arm, in their order and at their conditions."""
-    conditions = conditions_of_arms(model.arms, readings)
-    return {
-        name: np.asarray(
-            (arm.p_M if model.T_M_M0 is None else apply(model.T_M_M0, arm.p_M))
-            - model.arms[name].predict(arm.q, conditions=conditions[name])
-        )
-        for name, arm in readings.items()
-    }
 
 
 @dataclass(frozen=True, eq=False, repr=False)
