@@ -11,7 +11,7 @@ from unittest.mock import patch
 
 from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.collect import collect_run
-from cellapp.cell.driving.records import CollectResult, ImportResult, PlanResult
+from cellapp.cell.driving.records import CollectResult
 from cellapp.cell.driving.requests import running_job
 from cellapp.cell.exports.arm_export import ExportResult
 from cellapp.cell.programs.records import CorrectResult
@@ -31,6 +31,8 @@ from cellapp.commands.compensate import request as compensate
 from cellapp.commands.compensate.program import correct
 from cellapp.commands.export import request as export
 from cellapp.commands.export.run import export as export_asked
+from cellapp.commands.import_ import ImportResult
+from cellapp.commands.plan.result import PlanResult
 from cellapp.commands.plan.run import new_planned_run, plan_result
 from cellapp.commands.push import request as push
 from cellapp.commands.push.run import push_targets

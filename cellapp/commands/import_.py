@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Self
 
-from pydantic import model_validator
+from pydantic import Field, model_validator
 
-from cellapp.cell.driving.records import ImportResult
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.csv_import import WhichSmr, readings_from_csv
 from cellapp.cell.run.file import note_profile
 from cellapp.cell.run.measurement_order import read_in_order
 from cellapp.cell.run.recordings import recording_states, recordings_from_csv
+from cellapp.cell.run.records import ArmOrder, RecordingState
 from cellapp.commands.collect.view import recording_tables
 from cellapp.commands.record import Asked, NewRun, ProfilePath, Request, Verb, View, Work
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
+from cellapp.ground.results import Result
 from cellapp.ground.shell import shell_word
 
 
@@ -60,6 +62,16 @@ class ImportRequest(Request):
 
 
 VERB = Verb("import", ImportRequest, chapter="readings")
+
+
+class ImportResult(Result, schema="cellapp-import"):
+    """``import``: number of readings of each arm; ``in_order`` maps arms to what their order of measurement gave."""
+
+    run: str
+    readings: Mapping[str, int]
+    recordings: tuple[RecordingState, ...] = ()
+    in_order: Mapping[str, ArmOrder] = Field(default_factory=dict)
+    notes: tuple[str, ...]
 
 
 def run(request: ImportRequest, work: Work) -> ImportResult:

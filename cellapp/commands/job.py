@@ -7,6 +7,7 @@ from typing import Annotated
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.run_arms import BY_PERSON, note_at_rest
 from cellapp.commands.record import Asked, Request, RunFolder, Verb, View, Work
+from cellapp.ground.job_client import Verb as JobVerb
 from cellapp.ground.results import Result
 
 
@@ -18,6 +19,14 @@ class AtRestRequest(Request):
 
 
 VERB = Verb("job confirm-rest", AtRestRequest, chapter="faults")
+
+
+class RequestResult(Result, schema="cellapp-request"):
+    """``stop``, ``job pause``, ``job resume`` and ``job abort``: what the running job was asked, and its answer."""
+
+    run: str
+    request: JobVerb
+    answer: str
 
 
 class AtRestResult(Result, schema="cellapp-at-rest"):

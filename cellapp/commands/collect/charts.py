@@ -8,8 +8,8 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from cellapp.cell.driving.records import CollectedStop, SweepTrace
 from cellapp.cell.run.records import ReferenceDrift
+from cellapp.commands.collect.result import CollectedStop, SweepTrace
 from cellapp.commands.view.charts import Axis, Chart, Kind, Limit, Series, enumerated, series
 from cellapp.ground.counting import counted, mm
 from cellapp.ground.grouping import grouped

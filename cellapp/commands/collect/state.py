@@ -8,12 +8,12 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from cellapp.cell.driving.live_model import LiveModel
-from cellapp.cell.driving.records import CollectedStop, CollectionResult, ReplacedReading, ResidualRange, SweepTrace
 from cellapp.cell.planning.sweeps import read_sweeps
 from cellapp.cell.run import Outcome, RunFile
 from cellapp.cell.run.columns import POINT
 from cellapp.cell.run.measured_again import earlier_readings, missing_readings, missing_share, reference_drifts
 from cellapp.cell.run.recordings import read_stream, recording_states
+from cellapp.commands.collect.result import CollectedStop, CollectionResult, ReplacedReading, ResidualRange, SweepTrace
 from cellapp.commands.run_results import RunResults
 from cellapp.estimation.calibration.online import Residuals
 from cellapp.estimation.calibration.records import ArmCalibrationResult

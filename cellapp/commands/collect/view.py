@@ -7,11 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from cellapp.cell.driving.records import CollectedStop, CollectionResult, CollectResult
+from cellapp.cell.driving.records import CollectResult
 from cellapp.cell.run import Outcome
 from cellapp.cell.run.records import RecordingState
 from cellapp.cell.run.sqlite_file import Session
 from cellapp.commands.collect.charts import drift_by_reference, drift_chart, sweep_chart
+from cellapp.commands.collect.result import CollectedStop, CollectionResult
 from cellapp.commands.record import Request, View
 from cellapp.commands.view.charts import Chart
 from cellapp.commands.view.parts import Section, section_of

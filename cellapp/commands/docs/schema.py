@@ -6,8 +6,10 @@ import json
 from collections.abc import Iterable
 from typing import Any
 
-from cellapp.cell.driving.records import CollectionResult, RequestResult, StopsResult
 from cellapp.cell.planning.records import PlanDesignResult, PlanForecastResult
+from cellapp.commands.collect.result import CollectionResult
+from cellapp.commands.job import RequestResult
+from cellapp.commands.plan.result import StopsResult
 from cellapp.commands.record import Verb
 from cellapp.commands.registry import records
 from cellapp.commands.show.comparison import RunComparison

@@ -11,8 +11,8 @@ from typing import Literal
 
 import numpy as np
 
-from cellapp.cell.driving.records import PlannedStop
 from cellapp.cell.safety.shapes import load_mesh
+from cellapp.commands.plan.result import PlannedStop
 from cellapp.commands.view.charts import Axis, Chart, Series, enumerated, series
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError

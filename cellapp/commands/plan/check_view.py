@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from cellapp.cell.driving.records import PlannedLoad, PlanResult, StopsResult, SweepCount
 from cellapp.cell.planning.planned_stops import PlannedStops
 from cellapp.cell.planning.records import (
     ArmDesign,
@@ -20,6 +19,7 @@ from cellapp.cell.planning.records import (
     PlannedTime,
     PlanRefusal,
 )
+from cellapp.commands.plan.result import PlannedLoad, PlanResult, StopsResult, SweepCount
 from cellapp.commands.view.charts import enumerated
 from cellapp.commands.view.table import Cell, Table, columns_of, table_of
 from cellapp.commands.view.words import geometry_unit, short_reason

@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 
-from cellapp.cell.driving.records import PlannedLoad, PlannedStop, PlanResult, StopsResult, SweepCount
 from cellapp.cell.driving.requests import running_job
 from cellapp.cell.planning.plan import make_stops, plan_run
 from cellapp.cell.planning.plan_csv import PlanFile, read_plan_csv, write_plan_csv
@@ -32,6 +31,7 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.run.file import note_profile
 from cellapp.commands.plan.check_view import file_refusal_sentence
 from cellapp.commands.plan.request import PlanRequest
+from cellapp.commands.plan.result import PlannedLoad, PlannedStop, PlanResult, StopsResult, SweepCount
 from cellapp.commands.record import Work
 from cellapp.ground.control import JobControl
 from cellapp.ground.counting import counted, listed_numbers

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-from cellapp.cell.driving.records import PlanResult, StopsResult
 from cellapp.cell.planning.records import PlanCheckResult, PlanForecastResult
 from cellapp.cell.run import RunFile
 from cellapp.commands.plan.charts import cell_map_chart
@@ -15,6 +14,7 @@ from cellapp.commands.plan.check_view import (
     forecast_tables,
     plan_lines,
 )
+from cellapp.commands.plan.result import PlanResult, StopsResult
 from cellapp.commands.plan.run import planned_stops
 from cellapp.commands.record import Request, View
 from cellapp.commands.view.parts import Section

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 
-from cellapp.cell.driving.records import CollectionResult
 from cellapp.cell.profile import profile_to_json
 from cellapp.cell.run.measurement_order import order_sentences
+from cellapp.commands.collect.result import CollectionResult
 from cellapp.commands.collect.view import recording_tables, stored_view
 from cellapp.commands.compensate.target_list import stored_state
 from cellapp.commands.compensate.view import target_parts

@@ -13,9 +13,10 @@ from cellapp.ground.errors import CellappError, InputError
 from cellapp.ground.job_client import JOB_FILE, who_uses
 
 if TYPE_CHECKING:
-    from cellapp.cell.driving.records import CollectionResult, StopsResult
     from cellapp.cell.planning.planned_stops import PlannedStops
+    from cellapp.commands.collect.result import CollectionResult
     from cellapp.commands.next_step import Conclusion
+    from cellapp.commands.plan.result import StopsResult
     from cellapp.commands.run_results import RunResults
     from cellapp.commands.show.result import OverviewResult
     from cellapp.estimation.uncertainty.records import Conformity

@@ -13,10 +13,10 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from cellapp.cell.driving.records import RequestResult
 from cellapp.cell.driving.requests import taking_requests
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run.run_arms import note_halt
+from cellapp.commands.job import RequestResult
 from cellapp.ground import progress
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError

@@ -12,13 +12,13 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from pydantic import TypeAdapter
 
-from cellapp.cell.driving.records import PlannedStop
 from cellapp.cell.run import RunFile
 from cellapp.commands.calibrate.charts import scale_length_mm, vector_chart
 from cellapp.commands.calibrate.held_out import HeldOutArm
 from cellapp.commands.collect.charts import residual_drift_chart
 from cellapp.commands.discover.view import is_line
 from cellapp.commands.plan.charts import cell_map_chart, outlined_obstacles, surface_points
+from cellapp.commands.plan.result import PlannedStop
 from cellapp.commands.report.data import ReportData, read_report_data
 from cellapp.commands.view.charts import Axis, Chart, Kind, Limit, Series, series
 from cellapp.estimation.discovery.records import Picture

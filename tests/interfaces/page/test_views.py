@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cellapp.cell.driving.records import CollectedStop, CollectResult, ResidualRange
+from cellapp.cell.driving.records import CollectResult
 from cellapp.cell.planning.planned_stops import (
     PLAN_DESIGN_RESULT,
     read_plan_design,
@@ -31,6 +31,7 @@ from cellapp.cell.targets.records import (
 from cellapp.cell.targets.targets import Partner, Target
 from cellapp.commands.check.request import VERB as CHECK_VERB
 from cellapp.commands.collect.charts import stored_residual_chart
+from cellapp.commands.collect.result import CollectedStop, ResidualRange
 from cellapp.commands.collect.state import collection_state
 from cellapp.commands.collect.view import collect_lines, other_notes, residual_range_words, stored_view
 from cellapp.commands.compensate.target_list import target_list, target_state, target_words

@@ -26,8 +26,8 @@ from cellapp.interfaces.tui.widgets.tables import CellMap, StopsTable, explain_t
 from cellapp.interfaces.tui.workspace import Step, Workspace, new_folder
 
 if TYPE_CHECKING:
-    from cellapp.cell.driving.records import PlannedStop
     from cellapp.cell.planning.records import PlanCheckResult, PlanForecastResult
+    from cellapp.commands.plan.result import PlannedStop
     from cellapp.ground.results import Result
 
 

@@ -14,7 +14,7 @@ from textual.containers import Vertical
 from textual.message import Message
 from textual.widgets import DataTable, Static
 
-from cellapp.cell.driving.records import CollectedStop, CollectionResult
+from cellapp.commands.collect.result import CollectedStop, CollectionResult
 from cellapp.commands.collect.view import residual_range_words, stops_table
 from cellapp.commands.docs.keys import SHOWN
 from cellapp.ground.counting import counted

@@ -15,9 +15,9 @@ from cellapp.commands.docs.keys import SHOWN
 from cellapp.interfaces.tui.widgets.chart_plot import ChartPlot
 
 if TYPE_CHECKING:
-    from cellapp.cell.driving.records import PlannedStop
     from cellapp.cell.planning.planned_stops import PlannedStops
     from cellapp.commands.doctor.result import DoctorResult
+    from cellapp.commands.plan.result import PlannedStop
     from cellapp.ground.profile import Profile
 
 
