@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from cellapp.estimation.calibration.calibrate import ArmCalibration, CellCalibration
 from cellapp.estimation.calibration.records import (
@@ -19,12 +20,12 @@ from cellapp.robot.model.nominal import FIXED_SD
 _SCATTER = "root of chi-square per degree of freedom against the stated uncertainty, or metres without one"
 
 
-def calibrate_result(calibration: CellCalibration) -> CalibrateResult:
-    """Build the object that ``calibrate --json`` writes and the run file stores."""
+def calibrate_result(calibration: CellCalibration, notes: Sequence[str] = ()) -> CalibrateResult:
+    """Build the object that ``calibrate --json`` writes and the run file stores; ``notes`` come before its own."""
     return CalibrateResult(
         arms={name: arm_result(arm) for name, arm in calibration.arms.items()},
         pair={} if calibration.pair is None else calibration.pair.methods,
-        notes=calibration.notes,
+        notes=(*notes, *calibration.notes),
         provenance=calibration.provenance,
     )
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,17 +16,14 @@ from cellapp.commands.stages import CALIBRATION_FILE, RunStages, basis_of, read_
 from cellapp.commands.stored_model import append_with_model, export_model
 from cellapp.estimation.calibration.calibrate import calibrate_readings, missing_splits, refuse_too_few
 from cellapp.estimation.calibration.records import CalibrateResult
-from cellapp.estimation.prior.calibrate import Earlier, calibrate_with_prior
-from cellapp.estimation.readings import Readings
+from cellapp.estimation.prior.calibrate import calibrate_with_prior
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.network_kind import NetworkKind
-from cellapp.ground.profile import Profile
 from cellapp.ground.progress import UNATTENDED, JobToken
 from cellapp.ground.results import CALIBRATE, CHECK, DISCOVER, LOCATE, VERIFY
 from cellapp.ground.shell import shell_word
 from cellapp.ground.threads import one_blas_thread
-from cellapp.robot.model import CellModel
 
 
 def run(request: CalibrateRequest, work: Work) -> CalibrateResult:
@@ -65,50 +61,24 @@ def calibrate_run(
             raise InputError(f"calibrate: --prior frees what arms.{name}.{held[0]} holds; take one of them")
         if recordings[name] and arm.bounds:
             raise InputError(f"calibrate: arms.{name}.bounds do not hold for recordings of motion yet; take them out")
+    if prior is None and (used := {record.run for record in recorded_priors(run).values()}):
+        notes = (*notes, f"calibrated without the earlier calibration {', '.join(used)}, which was its prior before")
     with one_blas_thread():
         earlier = {} if prior is None else earlier_arms(run, prior)
-    if not earlier and (used := {record.run for record in recorded_priors(run).values()}):
-        notes = (*notes, f"calibrated without the earlier calibration {', '.join(used)}, which was its prior before")
-    if any(recordings.values()):
-        from cellapp.estimation.motion.calibrate import calibrate_with_motion  # for a faster start without motion
+        if any(recordings.values()):
+            from cellapp.estimation.motion.calibrate import calibrate_with_motion  # for a faster start without motion
 
-        with one_blas_thread():
             found, samples = calibrate_with_motion(profile, readings, recordings, job)
-        keep_samples(run, samples)
-        result, model = calibrate_result(replace(found, notes=(*notes, *found.notes))), found.model
-    else:
-        result, model = calibrate_cell(profile, readings, job, earlier=earlier, notes=notes)
-    now = basis_of(run)
-    append_with_model(run, CALIBRATE, result, model, now.model_copy(update={"priors": basis_of_priors(earlier)}))
+            keep_samples(run, samples)
+        else:
+            found = calibrate_readings(profile, readings, job)
+        if earlier:
+            found = calibrate_with_prior(profile, readings, found, earlier)
+    result, now = calibrate_result(found, notes), basis_of(run)
+    append_with_model(run, CALIBRATE, result, found.model, now.model_copy(update={"priors": basis_of_priors(earlier)}))
     stages = read_stages(run, lambda _: now)
     export_model(run, stages)
     return result.model_copy(update={"notes": (*result.notes, *note_later_stages(run, stages))})
-
-
-def calibrate_cell(
-    profile: Profile,
-    readings: Mapping[str, Readings],
-    job: JobToken = UNATTENDED,
-    *,
-    earlier: Mapping[str, Earlier] | None = None,
-    notes: Sequence[str] = (),
-) -> tuple[CalibrateResult, CellModel]:
-    """Calibrate a cell from readings that have their splits.
-
-    ``earlier`` calibrations of arms serve as priors. ``notes`` come before those of the calibration.
-
-    Raises
-    ------
-    InputError
-        If an arm has too few readings.
-    Cancelled
-        On request.
-    """
-    with one_blas_thread():
-        found = calibrate_readings(profile, readings, job)
-        if earlier:
-            found = calibrate_with_prior(profile, readings, found, earlier)
-    return calibrate_result(replace(found, notes=(*notes, *found.notes))), found.model
 
 
 def sample_missing_splits(run: RunFile) -> tuple[str, ...]:

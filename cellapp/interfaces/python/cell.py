@@ -27,7 +27,7 @@ from cellapp.cell.targets.records import CompensateResult, TargetCommand
 from cellapp.cell.targets.targets import Target, load_targets, targets_in_memory
 from cellapp.commands.calibrate.charts import pair_stop_chart, stop_error_chart
 from cellapp.commands.calibrate.held_out import HeldOutArm
-from cellapp.commands.calibrate.run import calibrate_cell
+from cellapp.commands.calibrate.result import calibrate_result
 from cellapp.commands.calibrate.view import parameters_view
 from cellapp.commands.calibrate.view import view as calibration_view
 from cellapp.commands.compensate.run import compensate_targets
@@ -41,7 +41,7 @@ from cellapp.commands.stored_model import values_in_force
 from cellapp.commands.view.charts import Chart
 from cellapp.commands.view.parts import Parts
 from cellapp.commands.view.table import Table, columns_of
-from cellapp.estimation.calibration.calibrate import missing_splits
+from cellapp.estimation.calibration.calibrate import calibrate_readings, missing_splits
 from cellapp.estimation.calibration.quantities import conditions_of_arms, measured_minus_computed
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import DiscoverResult
@@ -51,6 +51,7 @@ from cellapp.ground.counting import counted, did_you_mean
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import UNATTENDED, JobToken
+from cellapp.ground.threads import one_blas_thread
 from cellapp.interfaces.python.printed import Charted, Printed
 from cellapp.robot.effects import MeasurementConditions, TemperatureRecord
 from cellapp.robot.kinematics.transforms import Array
@@ -517,8 +518,9 @@ class Cell(Printed):
         """
         checked = self.readings(readings, in_order=in_order)
         split, notes = checked.with_splits()
-        result, model = calibrate_cell(self.profile, split, job, notes=notes)
-        return Calibration(self.profile, split, model, result)
+        with one_blas_thread():
+            found = calibrate_readings(self.profile, split, job)
+        return Calibration(self.profile, split, found.model, calibrate_result(found, notes))
 
     def summary(self) -> str:
         """Return the name of the cell, its arms and their types."""
