@@ -9,11 +9,12 @@ from __future__ import annotations
 import contextlib
 import ipaddress
 import logging
+import math
 import queue
 import secrets
 import threading
 import time
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -21,11 +22,21 @@ from functools import partial
 from typing import Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.trackers import bridge_wire as wire
 from drivers.trackers.bridge_links import JOIN_S, Link, LinkServer, RateLimitedLog
-from drivers.trackers.bridge_wire import BadField, Fields, Garbled, ServedTracks, WireLine
-from drivers.trackers.protocol import Halted, Preparation, Tracker, TrackerError, TrackerLinkLost
+from drivers.trackers.bridge_wire import BadField, Fields, Garbled, WireLine
+from drivers.trackers.protocol import (
+    Halted,
+    Preparation,
+    Track,
+    Tracker,
+    TrackerError,
+    TrackerLinkLost,
+    stream_limits_of,
+    stream_of,
+)
 
 # -- The only thread that calls the tracker behind a bridge: one command at a time, reconnecting after a lost link ----
 
@@ -137,6 +148,69 @@ class TrackerWorker:
                     raise
                 self._log.warning("reconnecting to the tracker: %s", error)
             self._closing.wait(_RECONNECT_S)
+
+
+# -- The points of a moving SMR, kept until the client has confirmed them ---------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Waiting:
+    """Points of one line, and their arrival time at the bridge."""
+
+    points: tuple[str, ...]
+    arrived_s: float
+
+
+class TrackBuffer:
+    """Buffer of the points of a track that the client has not confirmed yet. From any thread.
+
+    Lines are numbered; a request for line k confirms all lines before it.
+    """
+
+    def __init__(self, id_: str) -> None:
+        self.id = id_
+        self._lock = threading.Lock()
+        self._lines: deque[_Waiting] = deque()
+        self._first = 0
+        self._waiting = 0
+        self._last_stamp_s = -math.inf
+        self._lost: TrackerError | None = None
+
+    def received(self, packet: Track) -> None:
+        """Buffer the points that are newer than those before: of a packet, or of the whole track at its end."""
+        with self._lock:
+            packet = packet.within(packet.device_time_s > self._last_stamp_s)
+            count = len(packet.device_time_s)
+            if self._waiting + count > wire.MOST_WAITING or not count:
+                return
+            self._last_stamp_s = float(packet.device_time_s[-1])
+            self._waiting += count
+            self._lines += [_Waiting(points, time.monotonic()) for points in wire.packet_lines(packet)]
+
+    def lost(self, error: TrackerError) -> None:
+        """Note that the track was lost: it has ended by itself."""
+        with self._lock:
+            self._lost = self._lost or error
+
+    def fields(self, number: int) -> dict[str, str]:
+        """Return the answer to ``points from=number``. Raises ``BadField`` for a line that is no longer buffered."""
+        with self._lock:
+            while self._first < number and self._lines:
+                self._waiting -= len(self._lines.popleft().points)
+                self._first += 1
+            if number != self._first:
+                raise BadField(f"from is {number}; the next line is {self._first}")
+            if not self._lines:
+                why = {} if self._lost is None else wire.error_fields(self._lost)
+                ended = {f"lost.{key}": text for key, text in why.items()}
+                return {"points": "", "waiting": "0", "next": str(number), **ended}
+            line = self._lines[0]
+            return {
+                "points": ";".join(line.points),
+                "age": f"{max(time.monotonic() - line.arrived_s, 0.0):.6f}",
+                "waiting": str(self._waiting - len(line.points)),
+                "next": str(number + 1),
+            }
 
 
 LOG = logging.getLogger(__name__)
@@ -261,7 +335,8 @@ class TrackerService:
         self._holder: Link | None = None
         self._active: _ActiveCommand | None = None
         self._prepared_for = ""
-        self._tracks = ServedTracks(tracker)
+        self._track: TrackBuffer | None = None
+        """The newest track; the tracker's thread begins it, that of the links answers ``points``."""
         self._closing = threading.Event()
         self._thread: threading.Thread | None = None
 
@@ -313,7 +388,7 @@ class TrackerService:
         self._boot = secrets.token_hex(8)
         self._results.clear()
         self._prepared_for = ""
-        self._tracks.forget()
+        self._track = None
         if self._active is not None:
             self._active.id = ""
         for link in list(self._links.links):
@@ -398,7 +473,8 @@ class TrackerService:
                 self._answer(link, line.sequence, ("ok", {}))
                 self._links.drop(link, "the client ended its session")
             case "points":
-                self._answer(link, line.sequence, ("ok", self._tracks.points(line.fields)))
+                number = int(wire.read_number(line.fields, "from", 0, 1e9))
+                self._answer(link, line.sequence, ("ok", self._known_track(line.fields).fields(number)))
             case verb if verb in _COMMANDS:
                 self._command(link, line)
             case _:
@@ -510,9 +586,9 @@ class TrackerService:
                 within_s = wire.read_number(fields, "within", 1e-3, 60.0)
                 return lambda: self._confirm(within_s)
             case "stream-limits":
-                return self._tracks.limits
+                return lambda: wire.limits_fields(stream_limits_of(tracker))
             case "end-track":
-                return partial(self._tracks.end, self._tracks.of(fields))
+                return partial(self._end_track, self._known_track(fields))
             case "prepare":
                 try:
                     settings = wire.read_preparation(fields)
@@ -523,7 +599,7 @@ class TrackerService:
                 expected_M = np.array([wire.read_number(fields, axis, -1e3, 1e3) for axis in ("x", "y", "z")])
                 if verb == "track":
                     id_, interval_s = fields["id"], wire.read_number(fields, "interval", 1e-4, 60.0)
-                    return lambda: self._tracks.start(id_, expected_M, interval_s)
+                    return lambda: self._start_track(id_, expected_M, interval_s)
                 averaging_s = wire.read_number(fields, "averaging", 1e-3, 600.0)
                 return lambda: wire.point_fields(tracker.measure(expected_M, averaging_s))
 
@@ -537,6 +613,28 @@ class TrackerService:
         self._prepared_for = ""
         self._worker.prepare(settings)
         self._prepared_for = client
+        return {}
+
+    def _known_track(self, fields: Fields) -> TrackBuffer:
+        """Return the track named by a line. Raises ``BadField`` unless it is the newest one."""
+        track, id_ = self._track, wire.read_id(fields, "track")
+        if track is None or track.id != id_:
+            raise BadField("no such track: the bridge has restarted, or another one was begun")
+        return track
+
+    def _start_track(self, id_: str, expected_M: NDArray[np.float64], interval_s: float) -> dict[str, str]:
+        """Start a track of an SMR, in the worker's thread. Raises as ``start_track``."""
+        if (streaming := stream_of(self._tracker)) is None:
+            raise ValueError("this tracker does not measure an SMR while it moves")
+        track = TrackBuffer(id_)
+        streaming.start_track(expected_M, interval_s, track.lost, track.received)
+        self._track = track
+        return {}
+
+    def _end_track(self, track: TrackBuffer) -> dict[str, str]:
+        """End a track, in the worker's thread; its points stay buffered."""
+        if (streaming := stream_of(self._tracker)) is not None:
+            track.received(streaming.end_track())
         return {}
 
     def _check_active(self) -> None:

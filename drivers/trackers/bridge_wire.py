@@ -11,11 +11,8 @@ import hmac
 import math
 import re
 import secrets
-import threading
-import time
 import zlib
-from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,7 +27,6 @@ from drivers.trackers.protocol import (
     StreamLimits,
     TargetLost,
     Track,
-    Tracker,
     TrackerError,
     TrackerIdentity,
     TrackerLinkLost,
@@ -38,8 +34,6 @@ from drivers.trackers.protocol import (
     TrackerTimeout,
     Unstable,
     WrongTarget,
-    stream_limits_of,
-    stream_of,
 )
 
 VERSION = 1
@@ -309,7 +303,7 @@ def read_unmet(fields: Fields) -> list[str]:
     return unmet
 
 
-# -- Points of a moving SMR in the bridge's protocol, and the buffer of a track at the tracker's end ------------------
+# -- Points of a moving SMR ------------------------------------------------------------------------------------------
 #
 # A packet is a list of points, ``stamp,x,y,z,sigma;...``: the tracker's own timestamp [s], coordinates and their
 # standard uncertainty [m] (empty if not known).
@@ -335,9 +329,20 @@ def read_limits(fields: Fields) -> StreamLimits | None:
     return None if longest_s == 0.0 else StreamLimits(shortest_s, longest_s)
 
 
-def _point(stamp_s: float, p_M: NDArray[np.float64], sigma_m: float) -> str:
-    sigma = f"{sigma_m:.2e}" if math.isfinite(sigma_m) else ""
-    return f"{stamp_s:.7f},{p_M[0]:.8f},{p_M[1]:.8f},{p_M[2]:.8f},{sigma}"
+def packet_lines(packet: Track) -> list[tuple[str, ...]]:
+    """Return the points of a packet as texts, in groups that fit into one line each."""
+    lines: list[tuple[str, ...]] = []
+    some: list[str] = []
+    length = 0
+    for stamp_s, (x, y, z), sigma_m in zip(packet.device_time_s, packet.p_M, packet.sigma_m, strict=True):
+        sigma = f"{sigma_m:.2e}" if math.isfinite(sigma_m) else ""
+        point = f"{stamp_s:.7f},{x:.8f},{y:.8f},{z:.8f},{sigma}"
+        if some and length + len(point) > _LONGEST_POINTS:
+            lines.append(tuple(some))
+            some, length = [], 0
+        some.append(point)
+        length += len(point) + 1
+    return [*lines, tuple(some)] if some else lines
 
 
 def read_packet(fields: Fields, now_s: float) -> tuple[Track, int]:
@@ -354,133 +359,3 @@ def read_packet(fields: Fields, now_s: float) -> tuple[Track, int]:
     age_s = read_number(fields, "age", 0.0, 1e6) if len(rows) else 0.0
     waiting = int(read_number(fields, "waiting", 0, 10 * MOST_WAITING))
     return Track(rows[:, 0], rows[:, 1:4], rows[:, 4], np.full(len(rows), now_s - age_s)), waiting
-
-
-@dataclass(frozen=True)
-class _Waiting:
-    """Points of one line, and their arrival time at the bridge."""
-
-    points: tuple[str, ...]
-    arrived_s: float
-
-
-class TrackBuffer:
-    """Buffer of the points of a track that the client has not confirmed yet. From any thread.
-
-    Lines are numbered; a request for line k confirms all lines before it.
-    """
-
-    def __init__(self, id_: str, clock: Callable[[], float] = time.monotonic) -> None:
-        self.id = id_
-        self._clock = clock
-        self._lock = threading.Lock()
-        self._lines: deque[_Waiting] = deque()
-        self._first = 0
-        self._waiting = 0
-        self._last_stamp_s = -math.inf
-        self._lost: TrackerError | None = None
-
-    def received(self, packet: Track) -> None:
-        """Buffer a packet of the tracker."""
-        if len(packet.device_time_s) and packet.device_time_s[0] <= self._last_stamp_s:
-            return  # it was on its way when the track was ended
-        points = [
-            _point(stamp, p, sigma)
-            for stamp, p, sigma in zip(packet.device_time_s, packet.p_M, packet.sigma_m, strict=True)
-        ]
-        with self._lock:
-            if self._waiting + len(points) > MOST_WAITING or not points:
-                return
-            self._last_stamp_s = float(packet.device_time_s[-1])
-            self._waiting += len(points)
-            for some in _lines(points):
-                self._lines.append(_Waiting(some, self._clock()))
-
-    def lost(self, error: TrackerError) -> None:
-        """Note that the track was lost: it has ended by itself."""
-        with self._lock:
-            self._lost = self._lost or error
-
-    def ended(self, track: Track) -> None:
-        """Buffer the points of a finished track that did not arrive as packets."""
-        self.received(track.within(track.device_time_s > self._last_stamp_s))
-
-    def fields(self, number: int) -> dict[str, str]:
-        """Return the answer to ``points from=number``. Raises ``BadField`` for a line that is no longer buffered."""
-        with self._lock:
-            while self._first < number and self._lines:
-                self._waiting -= len(self._lines.popleft().points)
-                self._first += 1
-            if number != self._first:
-                raise BadField(f"from is {number}; the next line is {self._first}")
-            if not self._lines:
-                ended = {} if self._lost is None else _lost(self._lost)
-                return {"points": "", "waiting": "0", "next": str(number), **ended}
-            line = self._lines[0]
-            return {
-                "points": ";".join(line.points),
-                "age": f"{max(self._clock() - line.arrived_s, 0.0):.6f}",
-                "waiting": str(self._waiting - len(line.points)),
-                "next": str(number + 1),
-            }
-
-
-class ServedTracks:
-    """The track of a bridge's tracker. The bridge's thread answers ``points``; the tracker's thread calls the rest."""
-
-    def __init__(self, tracker: Tracker) -> None:
-        self._tracker = tracker
-        self._track: TrackBuffer | None = None
-
-    def of(self, fields: Fields) -> TrackBuffer:
-        """Return the track named by a line. Raises ``BadField`` unless it is the newest one."""
-        track, id_ = self._track, read_id(fields, "track")
-        if track is None or track.id != id_:
-            raise BadField("no such track: the bridge has restarted, or another one was begun")
-        return track
-
-    def points(self, fields: Fields) -> dict[str, str]:
-        """Return the answer to ``points`` from the buffer."""
-        return self.of(fields).fields(int(read_number(fields, "from", 0, 1e9)))
-
-    def limits(self) -> dict[str, str]:
-        """Return the answer to ``stream-limits``."""
-        return limits_fields(stream_limits_of(self._tracker))
-
-    def start(self, id_: str, expected_M: NDArray[np.float64], interval_s: float) -> dict[str, str]:
-        """Start a track of an SMR. Raises as ``start_track``."""
-        if (streaming := stream_of(self._tracker)) is None:
-            raise ValueError("this tracker does not measure an SMR while it moves")
-        track = TrackBuffer(id_)
-        streaming.start_track(expected_M, interval_s, track.lost, track.received)
-        self._track = track
-        return {}
-
-    def end(self, track: TrackBuffer) -> dict[str, str]:
-        """End a track; its points stay buffered."""
-        if (streaming := stream_of(self._tracker)) is not None:
-            track.ended(streaming.end_track())
-        return {}
-
-    def forget(self) -> None:
-        """Forget the track, as a restart would."""
-        self._track = None
-
-
-def _lost(error: TrackerError) -> dict[str, str]:
-    """Return the fields that say why a track has ended by itself."""
-    return {f"lost.{key}": text for key, text in error_fields(error).items()}
-
-
-def _lines(points: list[str]) -> list[tuple[str, ...]]:
-    """Split the points into groups that fit into one line each."""
-    lines: list[tuple[str, ...]] = []
-    some: list[str] = []
-    length = 0
-    for point in points:
-        if some and length + len(point) > _LONGEST_POINTS:
-            lines.append(tuple(some))
-            some, length = [], 0
-        some.append(point)
-        length += len(point) + 1
-    return [*lines, tuple(some)] if some else lines
