@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.driving.tracker_watch import UnaskedTracker, Watch, monitored, unwatched, watched
+from cellapp.cell.driving.tracker_watch import TrackerMonitor, UnaskedTracker, Watch, unwatched, watched
 from cellapp.cell.safety.gate import Gate, refuse_motion
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError, InputError
@@ -198,7 +198,7 @@ def open_cell(profile: Profile, *, plant: Plant | None = None, control: JobContr
                 raise HardwareError(str(error)) from error
         control.check()
         if simulated is None:
-            monitor = stack.enter_context(monitored(tracker))
+            monitor = stack.enter_context(TrackerMonitor(tracker))
             yield Cell(arms, monitor, RealClock(), air, tracker_unmet=unmet)
         else:
             yield Cell(

@@ -24,6 +24,7 @@ from drivers.trackers.protocol import (
     TrackerIdentity,
     TrackerLinkLost,
     no_packet,
+    stream_limits_of,
 )
 
 Died = Callable[[str], None]
@@ -106,6 +107,26 @@ class TrackerMonitor:
         """Call the tracker's ``measure``."""
         return self._alone(self._tracker.measure, expected_M, averaging_s)
 
+    def stream_limits(self) -> StreamLimits | None:
+        """Return the limits of the tracker's stream; None if it cannot measure a moving SMR."""
+        return self._alone(stream_limits_of, self._tracker)
+
+    def start_track(
+        self,
+        expected_M: NDArray[np.float64],
+        interval_s: float,
+        lost: Callable[[TrackerError], None],
+        received: Callable[[Track], None] = no_packet,
+    ) -> None:
+        """Call the tracker's ``start_track``, if it has ``stream_limits``."""
+        assert isinstance(self._tracker, StreamingTracker)
+        self._alone(self._tracker.start_track, expected_M, interval_s, lost, received)
+
+    def end_track(self) -> Track:
+        """Call the tracker's ``end_track``, if it has ``stream_limits``."""
+        assert isinstance(self._tracker, StreamingTracker)
+        return self._alone(self._tracker.end_track)
+
     def halt(self) -> None:
         """End the running measurement at once; may be called from any thread."""
         self._tracker.halt()
@@ -185,39 +206,6 @@ class TrackerMonitor:
                 return
 
 
-class StreamingTrackerMonitor(TrackerMonitor):
-    """Monitor of a tracker that can measure a moving SMR."""
-
-    def __init__(self, tracker: Tracker, streaming: StreamingTracker) -> None:
-        super().__init__(tracker)
-        self._streaming = streaming
-
-    def stream_limits(self) -> StreamLimits | None:
-        """Call the tracker's ``stream_limits``."""
-        return self._alone(self._streaming.stream_limits)
-
-    def start_track(
-        self,
-        expected_M: NDArray[np.float64],
-        interval_s: float,
-        lost: Callable[[TrackerError], None],
-        received: Callable[[Track], None] = no_packet,
-    ) -> None:
-        """Call the tracker's ``start_track``."""
-        self._alone(self._streaming.start_track, expected_M, interval_s, lost, received)
-
-    def end_track(self) -> Track:
-        """Call the tracker's ``end_track``."""
-        return self._alone(self._streaming.end_track)
-
-
-def monitored(tracker: Tracker) -> TrackerMonitor:
-    """Return a monitor with the tracker's capabilities; its context is not open yet."""
-    if isinstance(tracker, StreamingTracker):
-        return StreamingTrackerMonitor(tracker, tracker)
-    return TrackerMonitor(tracker)
-
-
 @contextmanager
 def watched(tracker: Tracker, died: Died) -> Iterator[None]:
     """Watch a tracker while the arms move. If it is not a monitor, the caller must not call it in the meantime."""
@@ -225,7 +213,7 @@ def watched(tracker: Tracker, died: Died) -> Iterator[None]:
         with tracker.watching(died):
             yield
         return
-    with monitored(tracker) as monitor, monitor.watching(died):
+    with TrackerMonitor(tracker) as monitor, monitor.watching(died):
         yield
 
 

@@ -14,18 +14,11 @@ import pytest
 
 from cellapp.cell.driving.live_model import Suspicions
 from cellapp.cell.driving.measuring import ReferenceWatch
-from cellapp.cell.driving.tracker_watch import monitored, unwatched, watched
+from cellapp.cell.driving.tracker_watch import TrackerMonitor, unwatched, watched
 from cellapp.estimation.calibration.online import OnlineFit
 from cellapp.ground.progress import Suspicion
 from cellapp.robot.kinematics.transforms import rotation_from_vector
-from drivers.trackers.protocol import (
-    StreamingTracker,
-    StreamLimits,
-    Tracker,
-    TrackerLinkLost,
-    TrackerTimeout,
-    stream_of,
-)
+from drivers.trackers.protocol import StreamLimits, Tracker, TrackerLinkLost, TrackerTimeout, stream_of
 from tests.latency import attempts
 from tests.series import Array, Series, series, twin
 
@@ -120,7 +113,7 @@ def test_silence_is_reported_while_the_question_still_hangs() -> None:
 
 def test_questions_and_calls_never_overlap_and_both_go_on() -> None:
     tracker = Answering(lambda: threading.Event().wait(0.005))
-    with monitored(as_tracker(tracker)) as monitor:
+    with TrackerMonitor(as_tracker(tracker)) as monitor:
         for _ in range(15):
             assert monitor.unmet() == []
             monitor.confirm(1.0)
@@ -130,7 +123,7 @@ def test_questions_and_calls_never_overlap_and_both_go_on() -> None:
 
 def test_a_call_of_the_job_is_no_silence() -> None:
     tracker, died = Answering(), queue.SimpleQueue[str]()
-    with monitored(as_tracker(tracker)) as monitor, watched(monitor, died.put):
+    with TrackerMonitor(as_tracker(tracker)) as monitor, watched(monitor, died.put):
         tracker.unmet = slept(0.8)  # type: ignore[method-assign]
         monitor.unmet()
     assert died.empty()
@@ -138,7 +131,7 @@ def test_a_call_of_the_job_is_no_silence() -> None:
 
 def test_a_silent_tracker_at_rest_is_seen_only_and_reported_at_the_next_motion() -> None:
     tracker, died = Answering(), queue.SimpleQueue[str]()
-    with monitored(as_tracker(tracker)) as monitor:
+    with TrackerMonitor(as_tracker(tracker)) as monitor:
         with watched(monitor, died.put):
             assert tracker.asked.acquire(timeout=_PATIENT_S)
         tracker.answer = is_lost
@@ -165,9 +158,8 @@ class Streaming(Answering):
 
 
 def test_a_monitor_can_do_what_its_tracker_can() -> None:
-    assert not isinstance(monitored(as_tracker(Answering())), StreamingTracker)
-    monitor = monitored(as_tracker(Streaming()))
-    assert isinstance(monitor, StreamingTracker)
+    assert stream_of(TrackerMonitor(as_tracker(Answering()))) is None
+    monitor = TrackerMonitor(as_tracker(Streaming()))
     monitor.start_track(np.zeros(3), 0.01, lambda error: None)
     assert stream_of(monitor) is monitor
     assert monitor.end_track() == "a track"  # type: ignore[comparison-overlap]
