@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -438,15 +438,12 @@ def summary_of(measured: Sequence[MeasuredTarget | MeasuredPair]) -> ArmVerifica
     both = [one for one in measured if one.nominal_mm is not None and one.compensated_mm is not None]
     if not both:
         return None
-
-    def of(error_mm: Callable[[MeasuredTarget | MeasuredPair], float | None]) -> Array:
-        return np.array([error_mm(one) for one in both], dtype=np.float64) * 1e-3
-
-    corrected = any(one.rounds_mm for one in both)
+    errors_mm = [(one.nominal_mm, one.compensated_mm, one.final_mm) for one in both]
+    nominal, compensated, final = np.array(errors_mm, dtype=np.float64).T * 1e-3
     return ArmVerification(
-        nominal_mm=summarise(of(lambda one: one.nominal_mm)),
-        compensated_mm=summarise(of(lambda one: one.compensated_mm)),
-        corrected_mm=summarise(of(lambda one: one.final_mm)) if corrected else None,
+        nominal_mm=summarise(nominal),
+        compensated_mm=summarise(compensated),
+        corrected_mm=summarise(final) if any(one.rounds_mm for one in both) else None,
         **_angle_summaries([one.orientation for one in both]),
     )
 
