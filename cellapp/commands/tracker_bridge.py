@@ -18,7 +18,7 @@ from cellapp.ground.results import Result
 from drivers.settings import SettingError
 from drivers.trackers.bridge_server import TrackerService, is_loopback
 from drivers.trackers.bridge_token import read_token
-from drivers.trackers.bridge_wire import LOOPBACK_PORT
+from drivers.trackers.bridge_wire import DEFAULT_PORT
 from drivers.trackers.registry import TRACKERS
 
 
@@ -54,7 +54,6 @@ class TrackerBridgeResult(Result, schema="cellapp-tracker-bridge"):
     guarded: bool
 
 
-DEFAULT_PORT = LOOPBACK_PORT
 _STEP_S = 0.2
 """Longest time until a cancel, such as Ctrl-C, is noticed."""
 

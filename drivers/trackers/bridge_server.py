@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from drivers.trackers import bridge_wire as wire
 from drivers.trackers.bridge_links import JOIN_S, Link, LinkServer, RateLimitedLog
+from drivers.trackers.bridge_token import usable_token
 from drivers.trackers.bridge_wire import BadField, Fields, Garbled, WireLine
 from drivers.trackers.protocol import (
     Halted,
@@ -252,17 +253,6 @@ def is_loopback(host: str) -> bool:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
         return False
-
-
-def usable_token(token: str) -> str:
-    """Return the token without surrounding blanks. Raises ``ValueError`` if too short or not printable ASCII."""
-    token = token.strip()
-    if len(token) < wire.SHORTEST_TOKEN or not token.isascii() or not token.isprintable():
-        raise ValueError(
-            f"the bridge's token must be at least {wire.SHORTEST_TOKEN} printable ASCII characters; make one with:"
-            ' python -c "import secrets; print(secrets.token_hex(32))"'
-        )
-    return token
 
 
 class TrackerService:

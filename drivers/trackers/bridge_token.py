@@ -7,8 +7,8 @@ import stat
 from pathlib import Path
 
 from drivers.settings import SettingError
-from drivers.trackers.bridge_server import usable_token
 
+_SHORTEST = 16
 _MOST_BYTES = 4096
 """Far longer than a token; limits the read if the path names a large file."""
 
@@ -22,12 +22,12 @@ def read_token(token_file: str | None, token_env: str | None) -> str | None:
         If it is missing or too short, or other users may read the file. The message never contains the token.
     """
     if token_file is not None:
-        return _checked(_read_file(Path(token_file).expanduser()), str(token_file))
+        return usable_token(_read_file(Path(token_file).expanduser()), str(token_file))
     if token_env is not None:
         text = os.environ.get(token_env)
         if text is None:
             raise SettingError(f"the environment variable {token_env} is not set; it should hold the bridge's token")
-        return _checked(text, f"the environment variable {token_env}")
+        return usable_token(text, f"the environment variable {token_env}")
     return None
 
 
@@ -44,8 +44,12 @@ def _read_file(path: Path) -> str:
         raise SettingError(f"{path}: a binary file, not a token") from error
 
 
-def _checked(text: str, source: str) -> str:
-    try:
-        return usable_token(text)
-    except ValueError as error:
-        raise SettingError(f"{source}: {error}") from error
+def usable_token(text: str, source: str = "") -> str:
+    """Return the token in a text; raise ``SettingError``, with its ``source``, if too short or not printable ASCII."""
+    token = text.strip()
+    if len(token) < _SHORTEST or not token.isascii() or not token.isprintable():
+        raise SettingError(
+            f"{source}{': ' if source else ''}the bridge's token must be at least {_SHORTEST} printable ASCII"
+            ' characters; make one with: python -c "import secrets; print(secrets.token_hex(32))"'
+        )
+    return token

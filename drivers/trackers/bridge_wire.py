@@ -40,8 +40,7 @@ VERSION = 1
 LONGEST_LINE = 2048
 LONGEST_TEXT = 300
 LAST_SEQUENCE = 999_999
-SHORTEST_TOKEN = 16
-LOOPBACK_PORT = 50960
+DEFAULT_PORT = 50960
 """Default TCP port of the bridge."""
 
 Fields = Mapping[str, str]
