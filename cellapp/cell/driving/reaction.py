@@ -12,13 +12,13 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal, Protocol
+from typing import Literal
 
 from cellapp.cell.driving.cell import Together, answers_of_all, in_threads, one_by_one
 from cellapp.ground.errors import HardwareError
 from cellapp.ground.progress import Halt
 from drivers.arms.protocol import Arm, ArmError, EmergencyStop, HostStalled, LinkLost, ProtectiveStop
-from drivers.trackers.protocol import TrackerError
+from drivers.trackers.protocol import Tracker, TrackerError
 
 CauseKind = Literal["fault", "safety stop", "link lost", "host stalled", "stop", "abort", "gate", "tracker", "engine"]
 HaltListener = Callable[[str, Halt], None]
@@ -46,13 +46,6 @@ class CellStopped(HardwareError):
         self.cause = cause
 
 
-class Halting(Protocol):
-    """Device that must end its work when the cell stops: the tracker."""
-
-    def halt(self) -> None:
-        """End the running measurement; from any thread."""
-
-
 def cause_of(name: str, error: ArmError) -> StopCause:
     """Return the stop cause for an arm's error."""
     kind: CauseKind = "fault"
@@ -72,7 +65,8 @@ class StopReaction:
     ----------
     arms : mapping
         Arm by name.
-    tracker : Halting
+    tracker : Tracker
+        Its ``halt`` ends a running measurement.
     together : callable
         Calls functions of all devices concurrently. If it returns at once (threads), the thread that brakes an arm also
         watches it until it rests; else, in simulated time, ``wait_at_rest`` does.
@@ -83,7 +77,7 @@ class StopReaction:
     def __init__(
         self,
         arms: Mapping[str, Arm],
-        tracker: Halting,
+        tracker: Tracker,
         together: Together = in_threads,
         listener: HaltListener = lambda name, halt: None,
     ) -> None:

@@ -26,7 +26,7 @@ from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.job_client import JOB_FILE, Verb, ask_running_job, look_at_job, who_uses
 from cellapp.ground.progress import Halt
 from drivers.arms.protocol import Arm, ArmError, ArmState, FaultListener, HostStalled, LinkLost, ProtectiveStop
-from drivers.trackers.protocol import TrackerLinkLost
+from drivers.trackers.protocol import Tracker, TrackerLinkLost
 from tests.waiting import WAIT_S
 
 WITHIN_S = WAIT_S
@@ -210,7 +210,7 @@ def test_each_arm_is_watched_until_it_rests_without_the_job(arms: dict[str, Brak
         if len(ended) == len(arms):
             both.set()
 
-    reaction = StopReaction(cast(dict[str, Arm], arms), Halted(), listener=note)
+    reaction = StopReaction(cast(dict[str, Arm], arms), cast(Tracker, Halted()), listener=note)
     arms["right"].unseen = True
     reaction.trigger(StopCause("stop", "a person stopped the arms"))
     assert both.wait(WITHIN_S)
