@@ -401,3 +401,14 @@ def test_the_drawing_of_the_house_shows_the_rooms_that_stand(group: str) -> None
     stand = {path.parent.name for path in (ROOT / "cellapp" / group).glob("*/__init__.py")}
     modules = {path.stem for path in (ROOT / "cellapp" / group).glob("*.py")}
     assert stand <= drawn <= stand | modules
+
+
+def test_the_ways_through_the_house_name_what_stands() -> None:
+    chapter = (ROOT / "cellapp/docs/architecture.md").read_text("utf-8")
+    ways = chapter.split("on their ways\n")[1].split("\n## ")[0]
+    quoted = {word for words in re.findall(r"`([^`]+)`", ways) for word in re.split("[./]", words)}
+    defined = {
+        node.name for path in MODULES for node in nodes_of(path) if isinstance(node, ast.ClassDef | ast.FunctionDef)
+    }
+    rooms = {part for path in MODULES for part in path.relative_to(ROOT).with_suffix("").parts}
+    assert quoted - defined - rooms == set()
