@@ -11,8 +11,7 @@ from pathlib import Path
 from textual.pilot import Pilot
 from textual.widgets import TabbedContent
 
-from cellapp.cell.profile.files import write_new
-from cellapp.ground.outputs import RENEWED
+from cellapp.ground.outputs import RENEWED, write_new
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.screens import SCREENS
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from cellapp.cell.driving.cell import arm_context, build_plant, tracker_context
 from cellapp.cell.driving.records import ControllerCalibration
-from cellapp.cell.profile.files import controller_file_text
+from cellapp.cell.profile.controller_file import controller_file_text
 from cellapp.cell.safety.bodies import place
 from cellapp.cell.safety.cell_bodies import ObstacleClearance, cell_bodies, cover, obstacle_clearances
 from cellapp.cell.safety.gate import CellBodies, clear_alone, refuse_stop, visible

@@ -27,7 +27,7 @@ import yaml
 
 from cellapp.cell.exports.arm_export import ArmExport, hashed, millimetres
 from cellapp.cell.exports.export_format import CellFormat, ExportFormat, smr_in_plain_flange
-from cellapp.cell.profile.files import controller_file_text
+from cellapp.cell.profile.controller_file import controller_file_text
 from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.chain import Geometry, plain_geometry
 from cellapp.robot.kinematics.transforms import (

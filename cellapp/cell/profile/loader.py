@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 import yaml
 from pydantic import BaseModel, ValidationError
 
-from cellapp.cell.profile.files import controller_table
+from cellapp.cell.profile.controller_file import controller_table
 from cellapp.cell.profile.messages import (
     KeyPath,
     PlacedError,

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 
 from cellapp.cell.driving.cell_checks import same_calibration
-from cellapp.cell.profile.files import write_new_bytes
 from cellapp.cell.programs.records import CorrectedTarget, CorrectResult, ReadProgram, Six
 from cellapp.cell.programs.script_targets import read_script, read_urp, six
 from cellapp.cell.programs.solving import (
@@ -34,7 +33,7 @@ from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of, require_own_factory, stage_in_force
 from cellapp.commands.view.table import Cell, Table, columns_of, with_rows
 from cellapp.ground.errors import InputError
-from cellapp.ground.outputs import CORRECTED, NEW_ONLY, Outputs, require_suffix
+from cellapp.ground.outputs import CORRECTED, NEW_ONLY, Outputs, require_suffix, write_new_bytes
 from cellapp.ground.profile import Arm
 from cellapp.ground.shell import shell_word
 from cellapp.robot.model import ArmModel

@@ -10,7 +10,6 @@ import numpy as np
 
 from cellapp.cell.exports.command_table import path_csv, path_script
 from cellapp.cell.exports.formats import files_of_arms
-from cellapp.cell.profile.files import write_new
 from cellapp.cell.programs.records import CorrectResult
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.recordings import known_readings
@@ -32,7 +31,7 @@ from cellapp.estimation.uncertainty.common import divided
 from cellapp.estimation.uncertainty.records import CommonUncertainty
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError
-from cellapp.ground.outputs import NEW_ONLY, Outputs, require_suffix
+from cellapp.ground.outputs import NEW_ONLY, Outputs, require_suffix, write_new
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import COMPENSATE, PATH
 from cellapp.ground.shell import shell_word

@@ -11,7 +11,6 @@ from cellapp.cell.driving.cell import require_devices
 from cellapp.cell.driving.diagnosis import controller_files, examine, factory_findings, factory_tables
 from cellapp.cell.exports.formats import all_formats
 from cellapp.cell.profile import load_profile
-from cellapp.cell.profile.files import write_new
 from cellapp.cell.profile.loader import explained
 from cellapp.cell.targets.targets import named_targets
 from cellapp.commands.doctor.bundle import bundle, newest_run, run_log
@@ -20,6 +19,7 @@ from cellapp.commands.doctor.result import DoctorResult, ProfileValue
 from cellapp.commands.record import Work
 from cellapp.estimation.calibration.calibrate import planned_splits
 from cellapp.ground.errors import HardwareError, InputError
+from cellapp.ground.outputs import write_new
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.device_plugins import device_plugins
 from cellapp.robot.effects import EFFECTS

@@ -34,7 +34,6 @@ from cellapp.cell.exports.formats import (
     format_named,
     lost_sentences,
 )
-from cellapp.cell.profile.files import write_new
 from cellapp.cell.run import RunFile, write_readings_csv
 from cellapp.cell.run.columns import Kind
 from cellapp.cell.run.csv_export import write_recordings_csv
@@ -49,7 +48,7 @@ from cellapp.commands.stages import RunStages, StoredStage, read_stages
 from cellapp.commands.stored_model import model_of, require_own_factory, stage_in_force
 from cellapp.estimation.calibration.quantities import conditions_of_arms
 from cellapp.ground.errors import InputError
-from cellapp.ground.outputs import NEW_ONLY, Outputs, require_suffix
+from cellapp.ground.outputs import NEW_ONLY, Outputs, require_suffix, write_new
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import CALIBRATE, COMPENSATE, DISCOVER, VERIFY
 from cellapp.ground.shell import shell_word

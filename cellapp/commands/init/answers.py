@@ -13,13 +13,13 @@ import numpy as np
 import yaml
 from pydantic import TypeAdapter, ValidationError
 
-from cellapp.cell.profile.files import path_exists, write_new
 from cellapp.cell.profile.loader import checked_profile, load_text
 from cellapp.cell.profile.messages import KeyPath, YamlDocument, dotted, value_message
 from cellapp.cell.profile.starters import FOLDER, SurveyPoint, arm_type_files, copies
 from cellapp.commands.init.own_data import InitResult
 from cellapp.estimation.calibration.station_location import BaseFit, base_from_points
 from cellapp.ground.errors import InputError
+from cellapp.ground.outputs import path_exists, write_new
 from cellapp.ground.profile import Arm, Pose, Profile
 from cellapp.ground.profile.schema import VERSION
 from cellapp.ground.starters import starters_folder

@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from cellapp.cell.profile.files import write_new
 from cellapp.cell.profile.loader import arm_type_of_text
 from cellapp.cell.profile.starters import FOLDER, READINGS, arm_type_files
 from cellapp.cell.run.columns import (
@@ -33,7 +32,7 @@ from cellapp.estimation.calibration.station_location import COMPUTED, Explained,
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.file_text import file_text
-from cellapp.ground.outputs import NEW_ONLY, Outputs
+from cellapp.ground.outputs import NEW_ONLY, Outputs, write_new
 from cellapp.ground.profile.schema import ArmType
 from cellapp.ground.results import Result
 from cellapp.ground.shell import shell_word

@@ -19,7 +19,7 @@ from cellapp.cell.exports.export_format import ExportFormat
 from cellapp.cell.exports.formats import formats_of
 from cellapp.cell.exports.urdf import kinematics_hash, murmur
 from cellapp.cell.profile import load_profile
-from cellapp.cell.profile.files import controller_file_text, controller_table
+from cellapp.cell.profile.controller_file import controller_file_text, controller_table
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile.schema import ArmType
 from cellapp.ground.profile.sections import ControllerTable

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from cellapp.cell.profile import load_profile
-from cellapp.cell.profile.files import write_text
 from cellapp.cell.profile.loader import arm_type_of_text, profile_from_json, profile_to_json
 from cellapp.cell.profile.starters import arm_type_files
 from cellapp.commands.doctor.view import cell_words, constraint_words
 from cellapp.ground.errors import InputError
+from cellapp.ground.outputs import RENEWED
 from cellapp.ground.profile.schema import ArmType
 from cellapp.ground.starters import starters_folder
 from cellapp.robot.kinematics.chain import flange_poses, nominal_geometry
@@ -212,7 +212,7 @@ def test_a_link_stays_a_link_and_permissions_stay(tmp_path: Path) -> None:
     file.write_text("old\n", "utf-8")
     file.chmod(0o640)
     link.symlink_to(file)
-    write_text(link, "new\n")
+    RENEWED.write_text(link, "new\n")
     assert link.is_symlink()
     assert file.read_text("utf-8") == "new\n"
     assert file.stat().st_mode & 0o777 == 0o640
@@ -227,5 +227,5 @@ def test_a_full_disk_leaves_the_old_file_whole(tmp_path: Path, monkeypatch: pyte
 
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(InputError, match="No space left on device"):
-        write_text(path, "new\n")
+        RENEWED.write_text(path, "new\n")
     assert [(entry.name, entry.read_text("utf-8")) for entry in tmp_path.iterdir()] == [("cell.yaml", "old\n")]

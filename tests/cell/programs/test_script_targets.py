@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.driving.collect import collect_run
-from cellapp.cell.profile.files import controller_file_text, controller_table
+from cellapp.cell.profile.controller_file import controller_file_text, controller_table
 from cellapp.cell.programs.records import CorrectedTarget, ReadProgram
 from cellapp.cell.programs.script_targets import read_script, read_urp
 from cellapp.cell.programs.solving import Workplace, controller_chain, flange_of, rewritten, solve_targets

@@ -15,12 +15,11 @@ import numpy as np
 import pytest
 import typer
 
-from cellapp.cell.profile.files import write_new
 from cellapp.cell.run import RunFile
 from cellapp.estimation.readings import Readings
 from cellapp.ground import outputs
 from cellapp.ground.errors import InputError
-from cellapp.ground.outputs import NEW_ONLY, RENEWED, Outputs, Writes
+from cellapp.ground.outputs import NEW_ONLY, RENEWED, Outputs, Writes, write_new
 from cellapp.interfaces import cli
 from cellapp.interfaces.cli.command_outputs import written_by
 from tests.cell.run.small_runs import two_arms

@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from cellapp.cell.profile import load_profile
-from cellapp.cell.profile.files import controller_file_text
+from cellapp.cell.profile.controller_file import controller_file_text
 from cellapp.cell.run import RunFile
 from cellapp.robot.kinematics.chain import flange_poses, plain_geometry, smr_positions
 from cellapp.robot.kinematics.inverse import solve_pose
