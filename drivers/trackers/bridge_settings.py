@@ -11,7 +11,7 @@ from pydantic import Field, field_validator, model_validator
 from drivers.findings import Finding
 from drivers.quantities import Time
 from drivers.settings import SettingError, loopback_ipv4
-from drivers.trackers.settings import EmulatedBridge, TrackerContext, TrackerSettings, looked_at
+from drivers.trackers.settings import EmulatedBridge, TrackerContext, TrackerSettings, probed
 
 if TYPE_CHECKING:
     from drivers.trackers.protocol import Tracker
@@ -101,6 +101,6 @@ class BridgeSettings(TrackerSettings):
         timeout_s, baud = min(self.timeout, patience_s), self.baud
         try:
             device = BridgeTracker(self.url, token=self.token(), timeout_s=timeout_s, baud=baud, patience_s=patience_s)
-            return looked_at(device, f", behind the bridge at {self.url}")
+            return probed(device, f", behind the bridge at {self.url}")
         except (SettingError, TrackerError) as error:
             return [Finding("", "failed", str(error))]

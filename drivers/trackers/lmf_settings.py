@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from drivers.findings import Finding
 from drivers.trackers.lmf_options import LmfOptions
-from drivers.trackers.settings import TrackerContext, looked_at
+from drivers.trackers.settings import TrackerContext, probed
 
 if TYPE_CHECKING:
     from drivers.trackers.protocol import Preparation, Tracker
@@ -39,7 +39,7 @@ class LmfSettings(LmfOptions):
 
         device = lmf.LmfTracker(self, self.preparation())
         try:
-            return looked_at(device, notices=device.notices)
+            return probed(device, notices=device.notices)
         except TrackerLinkLost as error:
             return [Finding("", "failed", f"{error}; {device.visible_trackers()}")]
         except (TrackerError, ValueError) as error:

@@ -10,8 +10,6 @@ from typing import Literal, Protocol, Self, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.findings import DeviceReport
-
 Accuracy = Literal["fast", "standard", "precise"]
 
 ACCURACIES: tuple[Accuracy, ...] = ("fast", "standard", "precise")
@@ -24,10 +22,6 @@ class TrackerIdentity:
     model: str
     serial: str
     software: str
-
-    def report(self) -> DeviceReport:
-        """Return the identity as the result of a probe."""
-        return DeviceReport(model=self.model, serial=self.serial, software=self.software)
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from drivers.findings import Finding
+from drivers.findings import DeviceReport, Finding
 from drivers.settings import Section
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ class TrackerSettings(Section):
         """Check the tracker without moving its head; a link that is silent for ``patience_s`` [s] counts as dead."""
 
 
-def looked_at(device: Tracker, where: str = "", notices: Callable[[], Sequence[str]] = tuple) -> list[Finding]:
+def probed(device: Tracker, where: str = "", notices: Callable[[], Sequence[str]] = tuple) -> list[Finding]:
     """Connect a tracker, ask it who it is, what it lacks and what it has to say, and disconnect. Raises as it does."""
     try:
         device.connect()
@@ -82,4 +82,4 @@ def looked_at(device: Tracker, where: str = "", notices: Callable[[], Sequence[s
     who = f"{identity.model}, serial {identity.serial}, {identity.software}{where}"
     lacks = "before it measures: " if unmet else ""
     state = lacks + "; ".join([*unmet, *said]) or "ready"
-    return [Finding("", "warning" if unmet or said else "ok", f"{who}; {state}", identity.report())]
+    return [Finding("", "warning" if unmet or said else "ok", f"{who}; {state}", DeviceReport(**vars(identity)))]
