@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pydantic import SerializeAsAny
 
 from cellapp.cell.run.records import ArmOrder, RecordingState
+from cellapp.cell.run.run_arms import UnseenArm
 from cellapp.cell.run.sqlite_file import Event
 from cellapp.commands.next_step import ArmProgress
 from cellapp.commands.run_results import RunResults
@@ -32,13 +33,6 @@ class StageState(Record):
     out_of_date: str | None = None
 
 
-class UnseenArmState(Record):
-    """An arm that was not seen at rest after a halt: since when (UTC) it counts as moving, and why."""
-
-    since: str
-    reason: str
-
-
 class OverviewResult(Result, schema="cellapp-overview"):
     """``show``: the state of a run, and the verb and command that come next (both empty if none).
 
@@ -58,7 +52,7 @@ class OverviewResult(Result, schema="cellapp-overview"):
     next_verb: NextVerb
     next_step: str
     complaints: tuple[str, ...] = ()
-    not_seen_at_rest: Mapping[str, UnseenArmState] = {}
+    not_seen_at_rest: Mapping[str, UnseenArm] = {}
     ignored_keys: tuple[str, ...] = ()
 
 
