@@ -79,8 +79,6 @@ def _state(stage: StoredStage, stages: RunStages) -> StageState:
 
 def _rests_on(stage: StoredStage) -> tuple[str, ...]:
     """Return the basis in words, with hashes cut to twelve digits."""
-    if stage.basis is None:
-        return ("not recorded",)
     basis = stage.basis
     return (
         f"profile {basis.profile[:12]}",

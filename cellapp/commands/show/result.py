@@ -18,7 +18,7 @@ from cellapp.ground.results import Record, Result, StageName
 class StageState(Record):
     """One stored stage: when and by which version it was stored, what it rests on, and whether that still holds.
 
-    ``number`` is 0 for results of versions that did not record a basis; ``out_of_date`` is the reason, None where the
+    ``out_of_date`` is the reason, None where the
     stage holds; ``superseded`` says that a later stage of the same name exists. A step of which only an earlier version
     knew has its name.
     """

@@ -82,8 +82,8 @@ def history_lines(history: HistoryResult) -> list[str]:
     """Return every stored stage, oldest first, each with its basis."""
     lines = []
     for stage in history.stages:
-        number = str(stage.number) if stage.number else "-"
-        lines.append(f"{number:>4}  {stage.name:10}  {second_of(stage.written)}  {stage.digest[:12]}  {stage.program}")
+        when, digest = second_of(stage.written), stage.digest[:12]
+        lines.append(f"{stage.number:>4}  {stage.name:10}  {when}  {digest}  {stage.program}")
         lines.append(f"      {_holds(stage)}")
         lines.append(f"      rests on: {', '.join(stage.rests_on)}")
     return lines

@@ -115,7 +115,9 @@ def measured_again(run: RunFile) -> None:
 
 
 def of_another_version(run: RunFile) -> None:
-    run.write_result(DISCOVER, json.dumps({"schema": "cellapp-discover", "version": 1, "arms": {"only": {}}}))
+    text = json.dumps({"schema": "cellapp-discover", "version": 1, "arms": {"only": {}}})
+    basis = basis_of(run).model_copy(update={"profile": "changed"})
+    run.append_stage(DISCOVER, basis.model_dump_json(), text, None)
 
 
 PAGES: dict[Callable[[RunFile], None], str] = {
@@ -182,7 +184,7 @@ def test_what_cannot_be_written_is_refused(single: RunFile, single_text: str, tm
         fill(run)
         with pytest.raises(InputError, match=r"run 'cellapp calibrate .*' first"):
             write_page(run)
-        run.write_result(CALIBRATE, calibration_of(single).to_json())
+        append_stage(run, CALIBRATE, calibration_of(single), basis_of(run))
         with pytest.raises(InputError, match=r"model is missing.*run 'cellapp calibrate .*'"):
             write_page(run)
         assert not (run.folder / "report.html").exists()
