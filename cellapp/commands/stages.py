@@ -11,7 +11,7 @@ import hashlib
 import json
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import count
@@ -44,7 +44,6 @@ from cellapp.ground.results import (
     StageName,
 )
 from cellapp.ground.shell import shell_word
-from cellapp.robot.model.model import MODEL_SCHEMA
 
 
 class ReadingsBasis(Record):
@@ -155,8 +154,6 @@ if nothing can be driven, ``plan`` stands for a new run of a cell that has chang
 CALIBRATION_FILE = "calibration.json"
 """File of the exported model in force, for other programs; cellapp itself reads the stored stages."""
 
-NOT_RECORDED = "an older version stored it and did not record the data it rests on"
-
 
 @dataclass(frozen=True)
 class StoredStage:
@@ -165,12 +162,12 @@ class StoredStage:
     Attributes
     ----------
     number : int
-        Number of its row; 0 for a result that an older version stored.
+        Number of its row.
     name : str
     written, program : str
         Time of writing (ISO 8601, UTC), and version of the program.
-    basis : Basis or None
-        What it rests on; None if that was not recorded.
+    basis : Basis
+        What it rests on.
     text : str
         The result as JSON.
     model : str or None
@@ -183,7 +180,7 @@ class StoredStage:
     name: StageName
     written: str
     program: str
-    basis: Basis | None
+    basis: Basis
     text: str
     model: str | None
     sole: bool = False
@@ -334,18 +331,15 @@ def tracker_moved(located: StoredStage | None) -> bool:
     return located is not None and says_moved(located.text)
 
 
-def append_stage(
-    run: RunFile, name: StageName, result: Result, basis: Basis | None, model: str | None = None
-) -> StoredStage:
+def append_stage(run: RunFile, name: StageName, result: Result, basis: Basis, model: str | None = None) -> StoredStage:
     """Append the result of a verb and the model (JSON) that it made; earlier rows stay as they are."""
-    run.append_stage(name, None if basis is None else basis.model_dump_json(), result.to_json(), model)
+    run.append_stage(name, basis.model_dump_json(), result.to_json(), model)
     return read_history(run)[-1]
 
 
 def read_history(run: RunFile) -> list[StoredStage]:
-    """Read every stage ever stored, oldest first; results of older versions, without a basis, come first."""
-    rows = run.stage_rows()
-    stages = [*_stored_without_basis(run, with_model=not rows), *(_stage(run, row) for row in rows)]
+    """Read every stage ever stored, oldest first, but for those of which nobody knows what they rest on."""
+    stages = [_stage(run, row, row.basis) for row in run.stage_rows() if row.basis is not None]
     times = Counter(stage.name for stage in stages)
     return [replace(stage, sole=times[stage.name] == 1) for stage in stages]
 
@@ -357,10 +351,11 @@ def read_stages(run: RunFile, basis_now: Callable[[RunFile], Basis] | None = Non
     """
     newest = _newest(read_history(run))
     current = {name: newest[name] for name in STAGE_NAMES if name in newest}
+    if not current:
+        return RunStages({}, {}, None)
     unmoved = _in_force_before_moving(current)
     in_force = _in_force(current, unmoved)
-    recorded = any(stage.basis is not None for stage in current.values())
-    now = (basis_now or basis_of)(run) if recorded else None
+    now = (basis_now or basis_of)(run)
     used = {CALIBRATE: None, DISCOVER: current.get(CALIBRATE), LOCATE: unmoved}
     if CHECK in current and found_change(current[CHECK].text) in CHANGES_OF_ARMS:
         used[CHECK] = unmoved
@@ -370,13 +365,9 @@ def read_stages(run: RunFile, basis_now: Callable[[RunFile], Basis] | None = Non
     return RunStages(current, {name: reason for name, reason in reasons.items() if reason}, in_force)
 
 
-def basis_on_model(run: RunFile, model: StoredStage, targets: Sequence[BaseModel] = ()) -> Basis | None:
-    """Return the basis of a stage that uses a model for targets or paths: the readings are those of the model's basis.
-
-    None if the basis of the model was not recorded.
-    """
-    if model.basis is None:
-        return None
+def basis_on_model(run: RunFile, model: StoredStage, targets: Sequence[BaseModel] = ()) -> Basis:
+    """Return the basis of a stage that uses a model for targets or paths: the readings are those of the model's
+    basis."""
     return Basis(
         profile=sha256_of(run.profile_text),
         readings=model.basis.readings,
@@ -404,31 +395,12 @@ STORED_OTHERWISE: Mapping[StageName, str] = {
 """Reason why a certificate is out of date if this stage is not the one that was certified."""
 
 
-def _stage(run: RunFile, row: StageRow) -> StoredStage:
+def _stage(run: RunFile, row: StageRow, recorded: str) -> StoredStage:
     try:
-        basis = None if row.basis is None else Basis.model_validate_json(row.basis)
+        basis = Basis.model_validate_json(recorded)
     except ValidationError:
         raise InputError(f"{run.path} is damaged (basis of stage {row.number}); restore it from a copy") from None
     return StoredStage(**{**vars(row), "basis": basis})
-
-
-def _stored_without_basis(run: RunFile, *, with_model: bool) -> Iterator[StoredStage]:
-    """Yield results of versions before the table ``stage``; ``calibration.json`` holds their one model, if any."""
-    model = _readable_model(run.folder / CALIBRATION_FILE) if with_model else None
-    for name in STAGE_NAMES:
-        document = run.read_document(name)
-        if document is not None:
-            own = model if name in (CALIBRATE, DISCOVER) else None
-            yield StoredStage(0, name, document[0], "an older version", None, document[1], own)
-
-
-def _readable_model(path: Path) -> str | None:
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError):
-        return None
-    content = json_object(text)
-    return text if content is not None and content.get("schema") == MODEL_SCHEMA else None
 
 
 def _newest(history: Sequence[StoredStage]) -> dict[StageName, StoredStage]:
@@ -445,7 +417,7 @@ def _newest(history: Sequence[StoredStage]) -> dict[StageName, StoredStage]:
 def _in_force(current: Mapping[StageName, StoredStage], unmoved: StoredStage | None) -> StoredStage | None:
     """Return the stage in force: ``locate`` if it rests on ``unmoved``, the model in force before the tracker moved."""
     located = current.get(LOCATE)
-    if unmoved is None or located is None or located.model is None or located.basis is None:
+    if unmoved is None or located is None or located.model is None:
         return unmoved
     rests = (unmoved.has_outcome(name, digest) for name, digest in located.basis.stages.items())
     return located if all(rests) else unmoved
@@ -455,21 +427,17 @@ def _in_force_before_moving(current: Mapping[StageName, StoredStage]) -> StoredS
     calibrate, discover = current.get(CALIBRATE), current.get(DISCOVER)
     if calibrate is None or discover is None:
         return calibrate
-    if discover.basis is None:
-        return discover if calibrate.basis is None else calibrate
     used = discover.basis.stages.get(CALIBRATE)
     return discover if used is not None and calibrate.has_outcome(CALIBRATE, used) else calibrate
 
 
 def _why_outdated(
-    stage: StoredStage, now: Basis | None, used: StoredStage | None, current: Mapping[StageName, StoredStage]
+    stage: StoredStage, now: Basis, used: StoredStage | None, current: Mapping[StageName, StoredStage]
 ) -> str:
     """Say why a stage no longer holds; empty if it does. ``used`` is the stage whose model it would use now.
 
     Of stages without a model it would use the newest of their name. A digest is empty if there was no such stage.
     """
-    if stage.basis is None or now is None:
-        return NOT_RECORDED
     reasons = []
     if stage.basis.profile != now.profile:
         reasons.append("the profile was changed since")

@@ -58,22 +58,13 @@ def values_in_force(result: CalibrateResult, model: CellModel) -> CalibrateResul
     return result.model_copy(update={"arms": arms})
 
 
-def arms_stage(run: RunFile, stages: RunStages, verb: str) -> StoredStage:
+def arms_stage(run: RunFile, stages: RunStages) -> StoredStage:
     """Return the stage whose model is in the tracker frame of the readings, even if the tracker was located later.
 
-    Raises ``InputError`` if the run is not calibrated yet, or if the basis of the model was not recorded. ``verb`` is
-    the intended use.
+    Raises ``InputError`` if the run is not calibrated yet.
     """
     used = stage_in_force(run, stages)
-    if used.name == LOCATE:
-        assert used.basis is not None
-        used = stages.current[next(iter(used.basis.stages))]
-    if used.basis is None:
-        raise InputError(
-            f"{verb}: {run.path}: an older version of cellapp calibrated this run;"
-            f" run 'cellapp calibrate {shell_word(run.folder)}' again"
-        )
-    return used
+    return stages.current[next(iter(used.basis.stages))] if used.name == LOCATE else used
 
 
 def require_current_model(run: RunFile, stages: RunStages, verb: str) -> None:

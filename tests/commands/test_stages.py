@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import shutil
 import sqlite3
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +14,10 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.run.file import note_profile
 from cellapp.cell.targets.targets import load_targets
 from cellapp.commands.calibrate.run import calibrate_run
-from cellapp.commands.compensate.run import compensate_run
-from cellapp.commands.discover.run import discover_run
 from cellapp.commands.run_results import read_results
 from cellapp.commands.show.overview import run_overview
 from cellapp.commands.show.view import overview_sentences
-from cellapp.commands.stages import CALIBRATION_FILE, NOT_RECORDED, append_stage, basis_of, read_stages, readings_digest
+from cellapp.commands.stages import CALIBRATION_FILE, append_stage, basis_of, read_stages, readings_digest
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import CALIBRATE, COMPENSATE, DISCOVER, VERIFY
 from cellapp.interfaces.page.page import write_page
@@ -105,7 +102,7 @@ def test_something_comes_next_while_anything_is_undecided_failed_or_out_of_date(
             changed = results.model_copy(update={"discover": results.discover.model_copy(update={"arms": found})})
             monkeypatch.setattr("cellapp.commands.next_step.read_results", lambda run, stages: changed)
         elif change == "out of date":
-            append_stage(run, COMPENSATE, results.compensate, None)
+            append_stage(run, COMPENSATE, results.compensate, basis_of(run).model_copy(update={"profile": "changed"}))
         write_page(run)
         overview = run_overview(run)
     (said,) = [one for one in overview_sentences(overview) if one.startswith("next: ")]
@@ -214,55 +211,16 @@ def test_another_profile_outdates_everything(finished_copy: Path) -> None:
 # -- runs of versions before the table of stages ----------------------------------------------------------------------
 
 
-@pytest.fixture
-def old_run(tmp_path: Path) -> Path:
-    """A run that version 0.1.0 collected, calibrated and searched."""
-    return Path(shutil.copytree(OLD_RUN, tmp_path / "old"))
+def test_a_run_from_before_stages_keeps_its_readings_and_is_calibrated_anew(tmp_path: Path) -> None:
+    with RunFile.open(Path(shutil.copytree(OLD_RUN, tmp_path / "old"))) as run:
+        assert read_stages(run).current == {}
+        assert run_overview(run).next_step.startswith("cellapp calibrate")
+        assert len(run.readings("left"))
 
 
-def test_an_old_run_is_read_and_says_that_its_basis_is_not_recorded(old_run: Path) -> None:
-    with RunFile.open(old_run) as run:
-        stages = read_stages(run)
-        assert set(stages.current) == {"calibrate", "discover"}
-        assert set(stages.out_of_date.values()) == {NOT_RECORDED}
-        shown = read_results(run)
-        assert shown.calibrate is not None
-        assert shown.calibrate.arms["left"].best_stage == "geometry", "its effects belong to the discovery"
-        assert shown.discover is not None
-        assert shown.discover.arms["left"].accepted[0].effect == "joint_compliance"
-        assert all(stage.rests_on == ("not recorded",) for stage in run_overview(run).stages)
-
-
-@pytest.mark.parametrize("verb", [discover_run, lambda run: push_run(run, TARGETS, verify=True)])
-def test_an_old_run_is_refused_where_its_basis_is_needed_and_stays_as_it_was(
-    old_run: Path, verb: Callable[[RunFile], object]
-) -> None:
-    before = {path.name: path.read_bytes() for path in old_run.iterdir()}
-    with RunFile.open(old_run, write=True) as run, pytest.raises(InputError, match="'cellapp calibrate"):
-        verb(run)
-    assert {path.name: path.read_bytes() for path in old_run.iterdir()} == before
-
-
-@pytest.mark.parametrize("text", ["", "x", "[1]", "{}"])
-def test_an_old_model_that_is_damaged_is_named(old_run: Path, text: str) -> None:
-    (old_run / CALIBRATION_FILE).write_text(text)
-    with RunFile.open(old_run, write=True) as run:
-        with pytest.raises(InputError, match=r"calibration\.json is missing or damaged; run 'cellapp calibrate .*'"):
-            compensate_run(run, TARGETS)
-        assert set(read_stages(run).current) == {"calibrate", "discover"}
-
-
-def test_an_old_model_is_compensated_with_and_that_is_said(old_run: Path) -> None:
-    with RunFile.open(old_run, write=True) as run:
-        assert NOT_RECORDED in compensate_run(run, TARGETS).notes[0]
-
-
-def test_a_result_that_cannot_be_read_is_named(old_run: Path) -> None:
-    connection = sqlite3.connect(old_run / "run.sqlite")
-    connection.execute("UPDATE result SET text = '{\"schema\": \"cellapp-discover\"}' WHERE name = 'discover'")
-    connection.commit()
-    connection.close()
-    with RunFile.open(old_run) as run:
+def test_a_result_that_cannot_be_read_is_named(finished_copy: Path) -> None:
+    with RunFile.open(finished_copy, write=True) as run:
+        run.append_stage(DISCOVER, basis_of(run).model_dump_json(), '{"schema": "cellapp-discover"}', None)
         shown = read_results(run)
     assert shown.discover is None
     assert "another version of cellapp stored it" in shown.out_of_date[DISCOVER]

@@ -7,7 +7,6 @@ Charts of residuals as enlarged arrows, from above and from the side.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
 
 import numpy as np
@@ -35,8 +34,6 @@ from cellapp.robot.kinematics.transforms import Array, apply, invert
 
 _METHOD_STYLES: Mapping[Method, int] = {"method_1": 1, "method_2": 4, "proposed": 2, "effects": 3}
 """Styles of the methods of the pair: each has the style of the stage that it builds on."""
-_CURVE = 30
-"""Points of a curve over a logarithmic axis."""
 _NO_HELD_OUT = "No held-out readings: calibrate first."
 
 
@@ -94,29 +91,6 @@ def _stop_errors(
     if last != first:
         message += f"; it was {mm(float(before.max()))} ({words[first]})"
     return Chart(title, x, y, drawn, f"{message}.", noise_limit(floor_mm), by_stage=True)
-
-
-def certainty_chart(name: str, predicted_mm: Array, errors_mm: Array, noise_mm: float) -> Chart:
-    """Show the position error (n,) [mm] over the predicted standard deviation (n,) [mm] of a coordinate.
-
-    The line is the root mean square error that a prediction implies, with the noise ``noise_mm`` of a measured
-    coordinate.
-    """
-    x = Axis("predicted standard deviation", "mm", logarithmic=True)
-    predicted, errors = drawable_mm(predicted_mm), drawable_mm(errors_mm)
-    at = np.geomspace(predicted.min(), predicted.max(), _CURVE)
-    expected = math.sqrt(3.0) * np.hypot(at, noise_mm)
-    drawn = (
-        series("one held-out configuration", predicted, errors, "points", style=STAGE_STYLES["effects"]),
-        series("error to be expected with the noise of measuring (rms)", at, expected, style=5, mark=":"),
-    )
-    ratio = float(np.sqrt(np.mean(errors**2) / np.mean(3.0 * (predicted**2 + noise_mm**2))))
-    message = (
-        f"Errors are {ratio:.2f} times as large as expected (rms); of that, the model alone is predicted to be off by"
-        f" {mm(float(at[0]))} to {mm(float(at[-1]))} in each coordinate."
-    )
-    title = f"Arm {name}: position error against predicted uncertainty"
-    return Chart(title, x, Axis("position error", "mm", logarithmic=True), drawn, message, by_stage=True)
 
 
 _MOST_ARROWS = 150

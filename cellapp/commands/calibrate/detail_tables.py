@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from cellapp.commands.calibrate.view import MM, batches_words
+from cellapp.commands.calibrate.view import batches_words
 from cellapp.commands.view.table import Cell, Number, Table, columns_of
 from cellapp.commands.view.words import METHOD_WORDS, geometry_unit
-from cellapp.estimation.calibration.records import ArmCalibrationResult, CalibrateResult, NetworkResult, NetworkTrial
+from cellapp.estimation.calibration.records import ArmCalibrationResult, CalibrateResult, NetworkResult
 from cellapp.ground.results import METHODS
 
 
@@ -68,30 +68,12 @@ def _of_all_words(network: NetworkResult | None) -> str:
     return "not asked for" if network is None or network.batches is None else batches_words(network.batches)
 
 
+_INPUTS = {"sincos": "sines and cosines", "angles": "scaled angles", "both": "angles, sines and cosines"}
+
+
 def _network_words(network: NetworkResult | None) -> str:
     if network is None:
         return "none trained"
-    used = "used" if network.used else "not used: it did not reduce the error on left-out folds"
-    return f"{_network_shape(network)}; {used}"
-
-
-def network_tables(calibrate: CalibrateResult) -> list[Table]:
-    """Show the network shapes that were compared within the training split."""
-    columns = columns_of("number", "inputs, hidden layers", ("left-out rms", MM, "mm"))
-    tables = []
-    for name, arm in calibrate.arms.items():
-        if arm.network is not None and arm.network.tried:
-            rows = [
-                (str(number), _network_shape(trial), trial.left_out_rms_mm)
-                for number, trial in enumerate(arm.network.tried, start=1)
-            ]
-            tables.append(Table(f"Arm {name}: networks compared inside the training split", columns, tuple(rows)))
-    return tables
-
-
-def _network_shape(network: NetworkResult | NetworkTrial) -> str:
-    inputs = {"sincos": "sines and cosines", "angles": "scaled angles", "both": "angles, sines and cosines"}[
-        network.inputs
-    ]
     turning = ", rotating with joint 1" if network.turning else ""
-    return f"{inputs}, {' + '.join(str(width) for width in network.hidden)}{turning}"
+    used = "used" if network.used else "not used: it did not reduce the error on left-out folds"
+    return f"{_INPUTS[network.inputs]}, {' + '.join(map(str, network.hidden))}{turning}; {used}"

@@ -66,18 +66,5 @@ class HeldOutArm:
             stage: position_errors(self.readings.p_M, computed) * 1e3 for stage, computed in self.computed_M.items()
         }
 
-    @cached_property
-    def prediction(self) -> tuple[Array, Array, float] | None:
-        """Standard deviation of a coordinate by the newest model and position error, (n,) [mm] each, and the noise.
-
-        The noise is the standard deviation of a measured coordinate [mm]. None if that model predicts no uncertainty.
-        """
-        model = self.discovered or self.calibrated
-        predicted = model.uncertainty(self.readings.q) * 1e3
-        if not predicted.any():
-            return None
-        noise_mm = 0.0 if model.posterior is None else model.posterior.noise.m * 1e3
-        return predicted, position_errors(self.readings.p_M, self._predict(model)) * 1e3, noise_mm
-
     def _predict(self, model: ArmModel) -> Array:
         return model.predict(self.readings.q, conditions=self.conditions)

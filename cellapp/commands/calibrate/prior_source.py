@@ -9,7 +9,7 @@ from typing import cast
 import numpy as np
 
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.run_arms import ControllerIdentity, recorded_controllers
+from cellapp.cell.run.run_arms import recorded_controllers
 from cellapp.commands.stages import PriorBasis, StoredStage, earlier_digest, read_stages
 from cellapp.commands.stored_model import model_of, stage_in_force
 from cellapp.estimation.calibration.quantities import ArmReadings
@@ -76,8 +76,8 @@ def _same_arm(run: RunFile, earlier: RunFile, name: str) -> tuple[str, ...]:
     now, then = recorded_controllers(run).get(name), recorded_controllers(earlier).get(name)
     if now is None or then is None:
         return (
-            f"arm '{name}': {_who_knows(now, then)} knows its controller; that {earlier.folder} is of the"
-            " same arm is taken from you",
+            f"arm '{name}': not both runs know its controller; that {earlier.folder} is of the same arm is taken from"
+            " you",
         )
     for what, a, b in (("model", then.model, now.model), ("serial number", then.serial, now.serial)):
         if a and b and a != b:
@@ -85,12 +85,6 @@ def _same_arm(run: RunFile, earlier: RunFile, name: str) -> tuple[str, ...]:
     if then.dh_checksum != now.dh_checksum:
         return (f"arm '{name}': the controller's own D-H calibration was changed since {earlier.folder}",)
     return ()
-
-
-def _who_knows(now: ControllerIdentity | None, then: ControllerIdentity | None) -> str:
-    if now is None and then is None:
-        return "neither this nor the earlier run"
-    return "only the earlier run" if now is None else "only this run"
 
 
 def _earlier(run: RunFile, stage: StoredStage, name: str, notes: tuple[str, ...]) -> Earlier:

@@ -123,16 +123,9 @@ def note_later_stages(run: RunFile, stages: RunStages) -> list[str]:
             f"the discovery is out of date ({reason}): {CALIBRATION_FILE} {kept}; run 'cellapp discover"
             f" {shell_word(run.folder)}'"
         )
-    if LOCATE in stages.out_of_date:
-        reason = stages.out_of_date[LOCATE]
-        notes.append(
-            f"the tracker's station is out of date ({reason}); run 'cellapp check"
-            f" {shell_word(run.folder)} --tracker-moved'"
-        )
-    if VERIFY in stages.out_of_date:
-        notes.append(f"the verification is out of date ({stages.out_of_date[VERIFY]})")
-    if CHECK in stages.out_of_date:
-        notes.append(f"the check of the calibration is out of date ({stages.out_of_date[CHECK]})")
+    later = {LOCATE: "the tracker's station", VERIFY: "the verification", CHECK: "the check of the calibration"}
+    outdated = stages.out_of_date
+    notes += [f"{what} is out of date ({outdated[name]})" for name, what in later.items() if name in outdated]
     for note in notes:
         run.log("note", note)
     return notes

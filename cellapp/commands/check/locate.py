@@ -96,7 +96,7 @@ def typed_pose(text: str, what: str) -> Pose:
 
 def _stage_before_moving(run: RunFile, stages: RunStages) -> StoredStage:
     """Return the stage whose model is in the tracker frame of the readings; refuse one that is out of date."""
-    used = arms_stage(run, stages, "check --tracker-moved")
+    used = arms_stage(run, stages)
     stale = "; ".join(f"'{n}' is out of date ({r})" for n, r in stages.out_of_date.items() if n == used.name)
     if stale:
         raise InputError(f"check: {stale}; nothing was moved. Run 'cellapp {used.name} {shell_word(run.folder)}' first")

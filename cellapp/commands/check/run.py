@@ -132,7 +132,7 @@ class _Checked:
 def _checked(run: RunFile, rotated: Collection[str] = ()) -> _Checked:
     """Read what is checked; arms ``rotated`` with orientation. Raises ``InputError`` if the run is not calibrated."""
     stages = read_stages(run)
-    used, arms = stage_in_force(run, stages), arms_stage(run, stages, "check")
+    used, arms = stage_in_force(run, stages), arms_stage(run, stages)
     readings = {name: known_readings(run, name) for name in run.profile.arms}
     located = LocateResult.from_json(used.text, f"{run.path}: {LOCATE}") if used.name == LOCATE else None
     belief = check_belief(

@@ -50,7 +50,7 @@ def discover_run(run: RunFile, job: JobToken = UNATTENDED) -> DiscoverResult:
     Raises
     ------
     InputError
-        If the run is not calibrated yet, or was by a version that did not store the calibration on its own.
+        If the run is not calibrated yet.
     Cancelled
         On request; nothing is stored then.
     """
@@ -120,11 +120,6 @@ def _discover(run: RunFile, job: JobToken) -> tuple[DiscoverResult, CellDiscover
     calibrated = read_stages(run).current.get(CALIBRATE)
     if calibrated is None:
         raise InputError(f"{run.path}: not calibrated yet; run 'cellapp calibrate {shell_word(run.folder)}' first")
-    if calibrated.basis is None:
-        raise InputError(
-            f"{run.path}: an older version of cellapp calibrated this run and may have changed that calibration since;"
-            f" run 'cellapp calibrate {shell_word(run.folder)}' again"
-        )
     with one_blas_thread():
         earlier = earlier_of_calibration(run)
     names = [*run.profile.arms]

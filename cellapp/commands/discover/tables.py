@@ -175,16 +175,6 @@ def candidates_table(name: str, arm: ArmDiscoveryResult) -> Table:
     )
 
 
-def structure_table(name: str, arm: ArmDiscoveryResult) -> Table:
-    """Show tests of the final residuals for structure."""
-    return table_of(
-        f"Arm {name}: structure of the residuals",
-        () if arm.structure is None else arm.structure.tests,
-        ("residuals, against", "against"),
-        ("p", "p_value", ".2g"),
-    )
-
-
 def invisible_table(name: str, arm: ArmDiscoveryResult) -> Table:
     """Show effects that these data cannot show, with the reason."""
     return table_of(

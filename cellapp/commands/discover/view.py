@@ -6,7 +6,7 @@ Charts of a discovery: held-out error step by step, pictures of effects.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -23,7 +23,6 @@ from cellapp.commands.discover.tables import (
     not_found_table,
     numbered_steps_table,
     size_tables,
-    structure_table,
 )
 from cellapp.commands.discover.words import (
     ahead_sentences,
@@ -38,7 +37,6 @@ from cellapp.commands.discover.words import (
     remainder_sentences,
     size_sentence,
     size_words,
-    undrawn_sentences,
     verdict_sentence,
 )
 from cellapp.commands.record import Request, View
@@ -46,14 +44,7 @@ from cellapp.commands.view.charts import Axis, Chart, drawable_mm, noise_limit, 
 from cellapp.commands.view.parts import Facts, Part, Section, section_of, sentence
 from cellapp.commands.view.table import table_of, with_rows
 from cellapp.commands.view.words import law_words, place_words, ranges, short_reason
-from cellapp.estimation.discovery.records import (
-    ArmDiscoveryResult,
-    DiscoverResult,
-    MotionEffectResult,
-    Picture,
-    Proposal,
-    ProposalQuestion,
-)
+from cellapp.estimation.discovery.records import ArmDiscoveryResult, DiscoverResult, Picture, Proposal, ProposalQuestion
 from cellapp.ground.counting import mm
 from cellapp.ground.profile.schema import DiscoverySettings
 from cellapp.robot.kinematics.transforms import Array
@@ -69,24 +60,21 @@ def view(result: DiscoverResult, request: Request | None = None) -> View:
 
 def found_parts(result: DiscoverResult) -> list[Part]:
     """Show a section for each arm, then notes."""
-    arms = [arm_section(f"discovery-{number}", name, arm) for number, (name, arm) in enumerate(result.arms.items(), 1)]
-    return [*arms, *(f"Note: {note}" for note in result.notes or ())]
+    return [*_arm_sections(result), *(f"Note: {note}" for note in result.notes or ())]
 
 
-def discovery_section(
-    discover: DiscoverResult, settings: DiscoverySettings, charts: Mapping[str, Sequence[Chart]]
-) -> Section:
-    """Show all arms; ``charts`` has each arm's charts of the model's uncertainty."""
+def _arm_sections(result: DiscoverResult) -> list[Section]:
+    return [arm_section(f"discovery-{number}", *one) for number, one in enumerate(result.arms.items(), start=1)]
+
+
+def discovery_section(discover: DiscoverResult, settings: DiscoverySettings) -> Section:
+    """Show all arms, and how discovery decides."""
     verdicts = (f"arm {name}, {arm.verdict}: {verdict_sentence(name, arm)}" for name, arm in discover.arms.items())
-    arms = [
-        arm_section(f"discovery-{number}", name, arm, charts[name])
-        for number, (name, arm) in enumerate(discover.arms.items(), start=1)
-    ]
     decides = Section([_decision_words(settings)], folded=True, title="How discovery decides")
-    return section_of([*arms, decides], message="; ".join(verdicts))
+    return section_of([*_arm_sections(discover), decides], message="; ".join(verdicts))
 
 
-def arm_section(key: str, name: str, arm: ArmDiscoveryResult, certainty: Sequence[Chart] = ()) -> Section:
+def arm_section(key: str, name: str, arm: ArmDiscoveryResult) -> Section:
     """Show one arm: verdict, accepted effects, steps, pictures, undetectable effects, and the remainder."""
     found = with_rows(
         accepted_table(name, arm), numbered_steps_table(name, arm), *size_tables(name, arm), cycle_table(name, arm)
@@ -95,13 +83,12 @@ def arm_section(key: str, name: str, arm: ArmDiscoveryResult, certainty: Sequenc
         *_remarks(arm),
         *remainder_sentences(arm),
         gap_chart(name, arm),
-        *certainty,
         *found,
         *_meanings(arm),
         *(Section([words], title=heading) for heading, words in description_sentences(arm)),
         *_pictures(name, arm),
     ]
-    evidence = with_rows(candidates_table(name, arm), structure_table(name, arm), evidence_table(name, arm))
+    evidence = with_rows(candidates_table(name, arm), evidence_table(name, arm))
     undetected = with_rows(invisible_table(name, arm), not_found_table(name, arm))
     parts.append(Section(evidence, folded=True, title="All evidence"))
     title = "Effects that were not found, or that these data cannot show"
@@ -119,29 +106,8 @@ def _motion_sentences(arm: ArmDiscoveryResult) -> list[str]:
         only = f"; only motion can: {one.only_motion}" if one.only_motion else ""
         law = f", {law_words(one.effect, one.law, one.joints)}" if one.law is not None and one.law.constants else ""
         aside = "" if one.at_rest else "; it stays out of commands for poses at rest"
-        said.append(
-            f"Recordings of motion show {one.effect} ({one.title}) of {place}{law}{_in_figures(one)}{only}{aside}."
-        )
+        said.append(f"Recordings of motion show {one.effect} ({one.title}) of {place}{law}{only}{aside}.")
     return said or ["Recordings of motion show no effect of the joints."]
-
-
-_IN_UNITS = {
-    "time_constant": ("ms", 1e3, 1),
-    "frequency": ("Hz", 1.0, 2),
-    "damping": ("of the critical damping", 1.0, 3),
-}
-"""Parameters of motion that the sentence states, by prefix of their name: unit, factor, digits."""
-
-
-def _in_figures(one: MotionEffectResult) -> str:
-    """State time constants, natural frequencies and dampings with standard errors, in the order of the joints."""
-    parts = []
-    for begins, (unit, factor, digits) in _IN_UNITS.items():
-        its = [value for name, value in one.parameters.items() if name.rstrip("0123456789") == begins]
-        figures = [f"{factor * v.value:.{digits}f} ± {factor * (v.standard_error or 0.0):.{digits}f}" for v in its]
-        if figures:
-            parts.append(f"{', '.join(figures)} {unit}")
-    return f": {'; '.join(parts)}" if parts else ""
 
 
 def _remarks(arm: ArmDiscoveryResult) -> list[str]:
@@ -186,7 +152,7 @@ def _pictures(name: str, arm: ArmDiscoveryResult) -> Iterator[Section]:
             "Dots are measured values of one effect, with all other parts of the model subtracted, at the readings that"
             f" the search used.{more}"
         )
-        yield Section([*undrawn_sentences(arm), *drawn], about=about, title="What the effects look like")
+        yield Section(drawn, about=about, title="What the effects look like")
 
 
 def _decision_words(settings: DiscoverySettings) -> str:

@@ -115,23 +115,6 @@ def structure_sentences(arm: ArmDiscoveryResult) -> list[str]:
     return [f"{sentence[0].upper()}{sentence[1:]}."]
 
 
-def undrawn_sentences(arm: ArmDiscoveryResult) -> list[str]:
-    """Name the joints of an accepted effect that have no figure; effects in recordings of motion have loops instead."""
-    if arm.motion is not None and arm.motion.used:
-        return []
-    sentences = []
-    for found in arm.accepted:
-        labels = {picture.y_label for picture in arm.pictures if picture.effect == found.effect}
-        missing = [joint for joint in found.where.joints if f"offset of joint {joint} [urad]" not in labels]
-        if missing:
-            joints = f"joints {ranges(missing)}" if len(missing) > 1 else f"joint {missing[0]}"
-            sentences.append(
-                f"There is no figure of {found.effect} for {joints}: the SMR hardly moves with"
-                f" {'these joints' if len(missing) > 1 else 'this joint'}."
-            )
-    return sentences
-
-
 def remainder_sentences(arm: ArmDiscoveryResult) -> list[str]:
     """State what remains unexplained, what a residual network finds in it, and the predicted uncertainty."""
     return [

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,7 @@ from cellapp.commands.init.own_data import InitResult
 from cellapp.estimation.calibration.station_location import BaseFit, base_from_points
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import path_exists, write_new
-from cellapp.ground.profile import Arm, Pose, Profile
+from cellapp.ground.profile import Arm, Pose
 from cellapp.ground.profile.schema import VERSION
 from cellapp.ground.starters import starters_folder
 from cellapp.robot.kinematics.chain import smr_positions
@@ -35,14 +34,6 @@ _COMMENT = """\
 # A cell for cellapp. Check it with `cellapp doctor` before anything moves; ur10-ur5.yaml, which comes with cellapp
 # (`cellapp init --from ur10-ur5`), explains the sections that may be added. A plain number is SI, a text has its unit.
 """
-
-
-@dataclass(frozen=True)
-class SurveyedBase:
-    """A base pose in the cell frame, and the fit it comes from."""
-
-    pose: Pose
-    fit: BaseFit
 
 
 def write_answers(answers: Path, folder: Path) -> InitResult:
@@ -61,14 +52,15 @@ def write_answers(answers: Path, folder: Path) -> InitResult:
     profile = checked_profile(document, (profiles, starters_folder()))
     notes = []
     for name, points in surveys.items():
+        assert profile.tracker.pose is not None, "asked for where the points were taken"
         try:
-            found = _base_of(profile, name, points)
+            base, fit = surveyed_base(profile.arms[name], points, profile.tracker.pose)
         except InputError as error:
             raise InputError(f"{answers}: arms.{name}.base.points: {error}") from None
-        position = [round(float(value), 4) for value in found.pose.position]
-        rpy = [f"{value:z.3f} deg" for value in np.degrees(found.pose.rpy)]
+        position = [round(float(value), 4) for value in base.position]
+        rpy = [f"{value:z.3f} deg" for value in np.degrees(base.rpy)]
         content["arms"][name]["base"] = {"position": position, "rpy": rpy}
-        notes.append(f"arm {name}: {found.fit.sentence}")
+        notes.append(f"arm {name}: {fit.sentence}")
     target = profiles / f"{re.sub(r'[^A-Za-z0-9_-]+', '-', profile.name).strip('-') or 'cell'}.yaml"
     if path_exists(target):
         raise InputError(f"{target} exists already; nothing was written. Give another name, or move it away")
@@ -126,13 +118,8 @@ def _points(document: YamlDocument, at: KeyPath, listed: object) -> tuple[Survey
         raise InputError(f"{document.places[at].file}: {dotted(inside)}: {value_message(details)}") from None
 
 
-def _base_of(profile: Profile, name: str, points: Sequence[SurveyPoint]) -> SurveyedBase:
-    assert profile.tracker.pose is not None, "asked for where the points were taken"
-    return surveyed_base(profile.arms[name], points, profile.tracker.pose)
-
-
-def surveyed_base(arm: Arm, points: Sequence[SurveyPoint], tracker: Pose) -> SurveyedBase:
-    """Compute the pose of an arm's base in C from points in the tracker frame and the tracker's pose in C.
+def surveyed_base(arm: Arm, points: Sequence[SurveyPoint], tracker: Pose) -> tuple[Pose, BaseFit]:
+    """Compute the pose of an arm's base in C, and the fit, from points in the tracker frame and its pose in C.
 
     Points given by joint positions use the arm's nominal geometry and its SMR offset.
 
@@ -146,7 +133,7 @@ def surveyed_base(arm: Arm, points: Sequence[SurveyPoint], tracker: Pose) -> Sur
     fit = base_from_points(p_B.reshape(-1, 3), p_M.reshape(-1, 3))
     T_C_B = pose_matrix(tracker) @ fit.T_M_B
     x, y, z = T_C_B[:3, 3].tolist()
-    return SurveyedBase(Pose(position=(x, y, z), rpy=rpy_of(T_C_B[:3, :3])), fit)
+    return Pose(position=(x, y, z), rpy=rpy_of(T_C_B[:3, :3])), fit
 
 
 def _point_at_base(arm: Arm, number: int, point: SurveyPoint) -> Array:

@@ -1,13 +1,8 @@
-"""Charts of a plan before it is measured: expected errors, joint ranges, time, correlations.
-
-Obstacles in maps of the cell: outlines from above and from the tracker, and the directions that they block.
-"""
+"""The map of a cell from above: bases, tracker, planned and measured stops, outlines of obstacles."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
@@ -26,10 +21,8 @@ from cellapp.ground.profile.sections import (
     SphereObstacle,
 )
 from cellapp.robot.kinematics.chain import flange_poses, smr_positions
-from cellapp.robot.kinematics.transforms import Array, apply, invert
+from cellapp.robot.kinematics.transforms import Array, apply
 from cellapp.robot.model.nominal import nominal_arm, pose_matrix
-
-View = Literal["above", "tracker"]
 
 OBSTACLE_STYLE = 5
 """Style of obstacles; the arms of a cell of two have other styles."""
@@ -39,16 +32,11 @@ _ALONG = 5
 """Points along an edge: straight edges look curved in azimuth and elevation."""
 
 
-@dataclass(frozen=True, eq=False)
-class Outlined:
-    """An obstacle with points (n, 3) of its surface in the cell frame C [m]; it is drawn as their hull."""
+def outlined_obstacles(profile: Profile) -> dict[str, Array]:
+    """Return points (n, 3) of the surface of each obstacle in the cell frame C [m]; it is drawn as their hull.
 
-    name: str
-    p_C: Array
-
-
-def outlined_obstacles(profile: Profile) -> list[Outlined]:
-    """Return the obstacles whose arm has a pose, those on a flange with it at home; a mesh as its convex hull."""
+    Only obstacles whose arm has a pose, those on a flange with it at home.
+    """
     bases = {name: pose_matrix(arm.base) for name, arm in profile.arms.items() if arm.base is not None}
     flanges = {}
     for name, T_C_B in bases.items():
@@ -56,13 +44,13 @@ def outlined_obstacles(profile: Profile) -> list[Outlined]:
         if arm.home is not None:
             rotation, origin = flange_poses(nominal_arm(arm).with_T_M_B(T_C_B), np.array([arm.home]))
             flanges[name] = np.block([[rotation[0], origin[0][:, None]], [np.zeros(3), 1.0]])
-    found = []
+    found = {}
     for name, one in profile.obstacles.items():
         frame = np.eye(4) if one.arm is None else (bases if one.fixed_to == "base" else flanges).get(one.arm)
         points = surface_points(one)
         if frame is not None and len(points):
             T_C_O = frame @ pose_matrix(Pose(position=one.pose.position, rpy=one.pose.rpy))
-            found.append(Outlined(name, apply(T_C_O, points)))
+            found[name] = apply(T_C_O, points)
     return found
 
 
@@ -104,27 +92,13 @@ def _along_z(points: Array, at: Array) -> Array:
     return np.asarray((points[None] + at[:, None, None] * np.array([0.0, 0.0, 1.0])).reshape(-1, 3))
 
 
-def obstacle_series(obstacles: Iterable[Outlined], T_C_M: Array | None, view: View) -> Iterator[Series]:
-    """Yield the outlines of all obstacles as one series with gaps; the view of the tracker needs ``T_C_M``."""
+def obstacle_series(obstacles: Iterable[Array]) -> Iterator[Series]:
+    """Yield the outlines of all obstacles from above as one series with gaps."""
     gap = np.full((1, 2), np.nan)
-    lines = [part for one in obstacles for part in (outline(seen_from(one.p_C, T_C_M, view)), gap)]
+    lines = [part for p_C in obstacles for part in (outline(p_C[:, :2]), gap)]
     if lines:
         x, y = np.concatenate(lines).T
         yield series("obstacles", x, y, style=OBSTACLE_STYLE)
-
-
-def seen_from(p_C: Array, T_C_M: Array | None, view: View) -> Array:
-    """Project points (n, 3): x and y [m] from above, or azimuth and elevation [deg] from the tracker; shape (n, 2).
-
-    Azimuths continue from that of the points' centre, so that a body behind the tracker stays in one piece.
-    """
-    if view == "above" or T_C_M is None:
-        return p_C[:, :2]
-    p_M = apply(invert(T_C_M), p_C)
-    x, y, z = p_M.T
-    middle = np.arctan2(*p_M.mean(axis=0)[1::-1])
-    azimuth = middle + np.mod(np.arctan2(y, x) - middle + np.pi, 2.0 * np.pi) - np.pi
-    return np.asarray(np.degrees(np.column_stack([azimuth, np.arctan2(z, np.hypot(x, y))])))
 
 
 def outline(points: Array) -> Array:
@@ -135,54 +109,42 @@ def outline(points: Array) -> Array:
     return np.asarray(points[[*vertices, vertices[0]]])
 
 
-# -- Maps of the cell: bases, tracker, stops and obstacles from above, and as the tracker sees them -------------------
+# -- Map of the cell: bases, tracker, stops and obstacles from above --------------------------------------------------
 
 
 _PLANNED, _MEASURED = "○△□◇", "●▲■◆"
 """Marks of the arms: hollow for planned stops, full for measured ones."""
-_AXES: Mapping[View, tuple[Axis, Axis]] = {
-    "above": (Axis("x", "m"), Axis("y", "m")),
-    "tracker": (Axis("azimuth", "deg"), Axis("elevation", "deg")),
-}
-_TITLES: Mapping[View, str] = {"above": "The cell from above", "tracker": "The cell as the tracker sees it"}
+_TITLE, _AXES = "The cell from above", (Axis("x", "m"), Axis("y", "m"))
 _OTHER_STYLE = 4
 """Style of series that belong to no arm."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Marks:
-    """Positions (n, 3) in the cell frame C [m] drawn with the same mark."""
-
-    name: str
-    p_C: Array
-    mark: str
-    style: int
-
-    def series(self, T_C_M: Array, view: View) -> Series:
-        x, y = seen_from(self.p_C, T_C_M, view).T
-        return series(self.name, x, y, "points", style=self.style, mark=self.mark)
+def _points(name: str, p_C: Array, mark: str, style: int) -> Series:
+    """Return positions (n, 3) in C [m] that are drawn with the same mark."""
+    return series(name, p_C[:, 0], p_C[:, 1], "points", style=style, mark=mark)
 
 
-def cell_map_chart(profile: Profile, stops: Sequence[PlannedStop], view: View = "above") -> Chart:
-    """Show bases, tracker, obstacles, and the SMR at planned and measured stops, with the nominal geometry.
+def cell_map_chart(profile: Profile, stops: Sequence[PlannedStop]) -> Chart:
+    """Show bases, tracker, obstacles, and the SMR at planned and measured stops from above in the cell frame C [m].
 
-    From above in the cell frame C [m], or as azimuth and elevation [deg] in the tracker frame M.
+    The geometry is the nominal one.
     """
     pose = profile.tracker.pose
     bases = {name: pose_matrix(arm.base) for name, arm in profile.arms.items() if arm.base is not None}
     if pose is None or not bases:
         message = "No map: the profile does not say where bases and tracker are (arms.*.base, tracker.pose)."
-        return Chart(_TITLES[view], *_AXES[view], (), message)
+        return Chart(_TITLE, *_AXES, (), message)
     T_C_M = pose_matrix(pose)
     smr = {name: _smr_positions(profile, name, T_C_B, stops) for name, T_C_B in bases.items()}
-    things = [*_stop_marks(smr, stops)]
-    things.append(_Marks("base", np.array([T_C_B[:3, 3] for T_C_B in bases.values()]), "B", _OTHER_STYLE))
-    if view == "above":
-        things.append(_Marks("tracker", T_C_M[:3, 3][np.newaxis], "T", _OTHER_STYLE))
-    points = [thing.series(T_C_M, view) for thing in things if len(thing.p_C)]
-    lines = obstacle_series(outlined_obstacles(profile), T_C_M, view)
+    origins = np.array([T_C_B[:3, 3] for T_C_B in bases.values()])
+    points = [
+        *_stop_marks(smr, stops),
+        _points("base", origins, "B", _OTHER_STYLE),
+        _points("tracker", T_C_M[np.newaxis, :3, 3], "T", _OTHER_STYLE),
+    ]
+    lines = obstacle_series(outlined_obstacles(profile).values())
     message = _message(smr, stops, T_C_M)
-    return Chart(_TITLES[view], *_AXES[view], (*lines, *points), message, equal=view == "above")
+    return Chart(_TITLE, *_AXES, (*lines, *(one for one in points if len(one.x))), message, equal=True)
 
 
 def _smr_positions(profile: Profile, name: str, T_C_B: Array, stops: Sequence[PlannedStop]) -> Array:
@@ -191,12 +153,12 @@ def _smr_positions(profile: Profile, name: str, T_C_B: Array, stops: Sequence[Pl
     return smr_positions(geometry, np.array([stop.q[name] for stop in stops]).reshape(-1, geometry.joints))
 
 
-def _stop_marks(smr: Mapping[str, Array], stops: Sequence[PlannedStop]) -> Iterator[_Marks]:
+def _stop_marks(smr: Mapping[str, Array], stops: Sequence[PlannedStop]) -> Iterator[Series]:
     measured = np.array([stop.measured for stop in stops], dtype=np.bool_)
     for style, (name, p_C) in enumerate(smr.items()):
         shape = style % len(_PLANNED)
-        yield _Marks(f"{name} planned", p_C[~measured], _PLANNED[shape], style)
-        yield _Marks(f"{name} measured", p_C[measured], _MEASURED[shape], style)
+        yield _points(f"{name} planned", p_C[~measured], _PLANNED[shape], style)
+        yield _points(f"{name} measured", p_C[measured], _MEASURED[shape], style)
 
 
 def _message(smr: Mapping[str, Array], stops: Sequence[PlannedStop], T_C_M: Array) -> str:

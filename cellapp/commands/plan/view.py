@@ -59,8 +59,7 @@ def plan_section(run: RunFile) -> Section | None:
     planned = planned_stops(run)
     if not planned.stops:
         return None
-    maps = cell_map_chart(run.profile, planned.stops), cell_map_chart(run.profile, planned.stops, "tracker")
-    about = "Where the planned stops are, in the cell frame and as the tracker sees them, with obstacles."
+    about = "The map shows the planned stops in the cell frame, with obstacles."
     if planned.design is not None:
         about += (
             " The stops were chosen to tell most about geometry and effects. Expected errors follow from the tracker's"
@@ -68,4 +67,4 @@ def plan_section(run: RunFile) -> Section | None:
             " size. 'cellapp docs planning' explains them."
         )
     message = "Where the planned stops are, and what limits them."
-    return Section([*maps, *design_parts(planned)], message=message, about=about)
+    return Section([cell_map_chart(run.profile, planned.stops), *design_parts(planned)], message=message, about=about)

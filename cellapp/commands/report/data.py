@@ -28,7 +28,7 @@ from cellapp.estimation.uncertainty.budget import measured_conditions
 from cellapp.estimation.uncertainty.records import Judgement
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.results import CALIBRATE, CHECK, DISCOVER, StageName
+from cellapp.ground.results import CALIBRATE, CHECK, DISCOVER
 from cellapp.robot.model import CellModel
 
 
@@ -123,20 +123,6 @@ def read_report_data(run: RunFile) -> ReportData:
     )
 
 
-STAGE_TITLES: dict[StageName, str] = {
-    "calibrate": "Calibration",
-    "discover": "Missing effects",
-    "locate": "Station of the tracker",
-    "compensate": "Compensated targets",
-    "push": "Pushed targets",
-    "verify": "Verification at new targets",
-    "path": "Compensated paths",
-    "iso9283": "Tests by ISO 9283",
-    "check": "Check of the calibration",
-    "certificate": "Certificate",
-}
-
-
 def unusable_arms(data: ReportData) -> list[tuple[str, str]]:
     """Return the arms whose calibration must not be used, with the reason."""
     return [
@@ -153,9 +139,9 @@ def warnings(data: ReportData) -> list[str]:
 
 
 def out_of_date_lines(data: ReportData) -> list[tuple[str, str]]:
-    """Return the title and reason of each result that no longer holds, and what a check found."""
-    lines = [(STAGE_TITLES[name], reason) for name, reason in data.results.out_of_date.items()]
+    """Return the name and reason of each result that no longer holds, and what a check found."""
+    lines: list[tuple[str, str]] = list(data.results.out_of_date.items())
     checked = data.results.held.check
     if checked is not None and checked.found_change:
-        lines += [(STAGE_TITLES[CHECK], complaint) for complaint in checked.complaints()]
+        lines += [(CHECK, complaint) for complaint in checked.complaints()]
     return lines

@@ -16,14 +16,8 @@ from cellapp.cell.profile import profile_to_json
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.measurement_order import order_sentences
 from cellapp.cell.run.run_arms import recorded_controllers
-from cellapp.commands.calibrate.charts import (
-    certainty_chart,
-    pair_held_out,
-    pair_stop_chart,
-    stop_error_chart,
-    vector_charts,
-)
-from cellapp.commands.calibrate.detail_tables import calibration_facts, network_tables, pair_tables
+from cellapp.commands.calibrate.charts import pair_held_out, pair_stop_chart, stop_error_chart, vector_charts
+from cellapp.commands.calibrate.detail_tables import calibration_facts, pair_tables
 from cellapp.commands.calibrate.view import (
     cooperative_noise_mm,
     cooperative_noise_mrad,
@@ -318,12 +312,7 @@ def _check(data: ReportData) -> Section | None:
 
 
 def _discovery(data: ReportData) -> Section | None:
-    """Show the discovery, with the model's uncertainty at held-out configurations."""
-    if data.discover is None:
-        return None
-    predictions = {name: data.held_out[name].prediction for name in data.model.arms}
-    charts = {name: [] if one is None else [certainty_chart(name, *one)] for name, one in predictions.items()}
-    return discovery_section(data.discover, data.profile.discovery, charts)
+    return None if data.discover is None else discovery_section(data.discover, data.profile.discovery)
 
 
 def _paths(data: ReportData) -> Section | None:
@@ -360,7 +349,7 @@ def _residuals(data: ReportData) -> Section:
         for chart in vector_charts(name, held_out)
     )
     return Section(
-        [*runs, *vectors, calibration_facts(data.calibrate), *network_tables(data.calibrate)],
+        [*runs, *vectors, calibration_facts(data.calibrate)],
         message=message if residual else "How the identification went, in numbers.",
         about="Residuals of the held-out configurations as arrows, enlarged; the black arrow gives the scale. Residuals"
         " in the tracker frame are specific to one tracker station; residuals in the base frame move with the arm.",

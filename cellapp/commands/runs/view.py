@@ -71,7 +71,7 @@ def view(result: RunsResult | ArmHistory, request: Request | None = None) -> Vie
 
 
 def runs_tables(result: RunsResult) -> list[Table]:
-    """Show the state of every readable run, errors of every calibrated arm, and the effects that discovery named."""
+    """Show the state of every readable run, and the errors of every calibrated arm."""
     named = [(short_name(run, result.folder), run) for run in result.runs if not run.problem]
     state = Table(
         f"Runs below {result.folder}, newest first",
@@ -89,17 +89,7 @@ def runs_tables(result: RunsResult) -> list[Table]:
             for arm, figures in run.figures.items()
         ),
     )
-    effects = Table(
-        "Missing effects",
-        tuple(map(Column, ("run", "arm", "verdict", "effects"))),
-        tuple(
-            (name, arm, figures.verdict, effects_words(figures.effects))
-            for name, run in named
-            for arm, figures in run.figures.items()
-            if figures.verdict
-        ),
-    )
-    return with_rows(state, errors, effects)
+    return with_rows(state, errors)
 
 
 def runs_sentences(result: RunsResult) -> list[str]:

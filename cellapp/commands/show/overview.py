@@ -9,7 +9,7 @@ from cellapp.cell.run.measurement_order import read_in_order
 from cellapp.cell.run.run_arms import unseen_arms
 from cellapp.cell.run.sqlite_file import Event
 from cellapp.commands.next_step import arm_states, next_step
-from cellapp.commands.show.result import HistoryResult, LogResult, OverviewResult, StageState, UnseenArmState
+from cellapp.commands.show.result import HistoryResult, LogResult, OverviewResult, StageState
 from cellapp.commands.stages import RunStages, StoredStage, complaints_of, read_history, read_stages
 from cellapp.ground.counting import counted
 from cellapp.ground.removed import without_removed_keys
@@ -32,9 +32,7 @@ def run_overview(run: RunFile) -> OverviewResult:
         next_verb=after.verb,
         next_step=after.short,
         complaints=tuple(complaints),
-        not_seen_at_rest={
-            name: UnseenArmState(since=arm.since, reason=arm.reason) for name, arm in unseen_arms(run).items()
-        },
+        not_seen_at_rest=unseen_arms(run),
         ignored_keys=tuple(without_removed_keys(json.loads(run.profile_text))[1]),
     )
 
@@ -81,8 +79,6 @@ def _state(stage: StoredStage, stages: RunStages) -> StageState:
 
 def _rests_on(stage: StoredStage) -> tuple[str, ...]:
     """Return the basis in words, with hashes cut to twelve digits."""
-    if stage.basis is None:
-        return ("not recorded",)
     basis = stage.basis
     return (
         f"profile {basis.profile[:12]}",

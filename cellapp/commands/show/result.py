@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pydantic import SerializeAsAny
 
 from cellapp.cell.run.records import ArmOrder, RecordingState
+from cellapp.cell.run.run_arms import UnseenArm
 from cellapp.cell.run.sqlite_file import Event
 from cellapp.commands.next_step import ArmProgress
 from cellapp.commands.run_results import RunResults
@@ -17,7 +18,7 @@ from cellapp.ground.results import Record, Result, StageName
 class StageState(Record):
     """One stored stage: when and by which version it was stored, what it rests on, and whether that still holds.
 
-    ``number`` is 0 for results of versions that did not record a basis; ``out_of_date`` is the reason, None where the
+    ``out_of_date`` is the reason, None where the
     stage holds; ``superseded`` says that a later stage of the same name exists. A step of which only an earlier version
     knew has its name.
     """
@@ -30,13 +31,6 @@ class StageState(Record):
     rests_on: tuple[str, ...]
     superseded: bool = False
     out_of_date: str | None = None
-
-
-class UnseenArmState(Record):
-    """An arm that was not seen at rest after a halt: since when (UTC) it counts as moving, and why."""
-
-    since: str
-    reason: str
 
 
 class OverviewResult(Result, schema="cellapp-overview"):
@@ -58,7 +52,7 @@ class OverviewResult(Result, schema="cellapp-overview"):
     next_verb: NextVerb
     next_step: str
     complaints: tuple[str, ...] = ()
-    not_seen_at_rest: Mapping[str, UnseenArmState] = {}
+    not_seen_at_rest: Mapping[str, UnseenArm] = {}
     ignored_keys: tuple[str, ...] = ()
 
 

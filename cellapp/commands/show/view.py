@@ -6,6 +6,7 @@ import json
 
 from cellapp.cell.profile import profile_to_json
 from cellapp.cell.run.measurement_order import order_sentences
+from cellapp.cell.run.run_arms import UnseenArm
 from cellapp.commands.collect.result import CollectionResult
 from cellapp.commands.collect.view import recording_tables, stored_view
 from cellapp.commands.compensate.target_list import stored_state
@@ -15,15 +16,7 @@ from cellapp.commands.record import Request, View
 from cellapp.commands.registry import STORING, records
 from cellapp.commands.show.comparison import RunComparison, comparison_sentences, comparison_tables
 from cellapp.commands.show.request import ShowRequest
-from cellapp.commands.show.result import (
-    HistoryResult,
-    LogResult,
-    OverviewResult,
-    RecordingsResult,
-    Shown,
-    StageState,
-    UnseenArmState,
-)
+from cellapp.commands.show.result import HistoryResult, LogResult, OverviewResult, RecordingsResult, Shown, StageState
 from cellapp.commands.view.table import Table, table_of, with_rows
 from cellapp.ground.profile import Profile
 from cellapp.ground.removed import VERSION
@@ -76,7 +69,7 @@ def overview_sentences(state: OverviewResult) -> list[str]:
     return sentences
 
 
-def unseen_sentence(name: str, arm: UnseenArmState, run: str) -> str:
+def unseen_sentence(name: str, arm: UnseenArm, run: str) -> str:
     """State the danger of an arm that was not seen at rest, and how to settle it."""
     return (
         f"arm {name}: NOT SEEN AT REST since {second_of(arm.since)} UTC: treat it as moving ({arm.reason.rstrip('.')})."
@@ -89,8 +82,8 @@ def history_lines(history: HistoryResult) -> list[str]:
     """Return every stored stage, oldest first, each with its basis."""
     lines = []
     for stage in history.stages:
-        number = str(stage.number) if stage.number else "-"
-        lines.append(f"{number:>4}  {stage.name:10}  {second_of(stage.written)}  {stage.digest[:12]}  {stage.program}")
+        when, digest = second_of(stage.written), stage.digest[:12]
+        lines.append(f"{stage.number:>4}  {stage.name:10}  {when}  {digest}  {stage.program}")
         lines.append(f"      {_holds(stage)}")
         lines.append(f"      rests on: {', '.join(stage.rests_on)}")
     return lines

@@ -506,7 +506,7 @@ def judge_sentences(result: JudgeResult) -> list[str]:
 
 def setup_words(setup: Setup) -> str:
     """Describe the conditions of a set of trials."""
-    said = [f"kind {setup.kind}", f"noise {setup.noise}", f"laws {setup.laws}", f"ranges {setup.ranges}"]
+    said = [f"kind {setup.kind}", f"laws {setup.laws}", f"ranges {setup.ranges}"]
     said.append(f"masses {100 * MASS_ERROR:.0f} % off")
     return ", ".join([*said, *([] if setup.stated else ["no stated uncertainty"])])
 

@@ -24,18 +24,8 @@ from pydantic import JsonValue
 from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.planning.planned_stops import PlannedStops
 from cellapp.cell.run import RunFile
-from cellapp.commands.trials.blind import DURATION_S, TrialNoise, beyond_geometry, blind_readings, with_hidden
-from cellapp.commands.trials.sealed_setup import (
-    EXPECTED,
-    HARD,
-    NOISES,
-    OUT,
-    USUAL_SETUP,
-    Case,
-    Setup,
-    cases,
-    library_name,
-)
+from cellapp.commands.trials.blind import DURATION_S, beyond_geometry, blind_readings, with_hidden
+from cellapp.commands.trials.sealed_setup import EXPECTED, HARD, OUT, USUAL_SETUP, Case, Setup, cases, library_name
 from cellapp.estimation.calibration.calibrate import rms_length_mm
 from cellapp.estimation.readings import Readings, stated_uncertainty
 from cellapp.ground.errors import CheckFailed, InputError
@@ -311,9 +301,9 @@ class _HiddenCell:
     noise_seed: int
     split_seed: int
 
-    def measured(self, effects: _Effects, noise: TrialNoise) -> dict[str, Readings]:
+    def measured(self, effects: _Effects) -> dict[str, Readings]:
         """Simulate readings with noise."""
-        return blind_readings(self.cell(effects, noise=True), self.plan, self.noise_seed, noise)
+        return blind_readings(self.cell(effects, noise=True), self.plan, self.noise_seed)
 
     def exact(self, effects: _Effects) -> dict[str, Readings]:
         """Simulate readings at the same stops without noise."""
@@ -336,7 +326,7 @@ def _write_run(
     parameters = _sampled_parameters(profile, case, setup, rng)
     public = without_truth(profile, number)
     cell = _HiddenCell(profile, case.arm, plan.stops, plant_seed, noise_seed, public.seed)
-    readings, with_all = cell.measured(parameters, NOISES[setup.noise]), cell.exact(parameters)
+    readings, with_all = cell.measured(parameters), cell.exact(parameters)
 
     def fill(run: RunFile) -> None:
         for name, arm in readings.items():

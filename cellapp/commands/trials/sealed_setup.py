@@ -11,7 +11,6 @@ import numpy as np
 from cellapp.cell.planning.plan import make_stops, plan_stops, sample_stops
 from cellapp.cell.planning.planned_stops import PlannedStops
 from cellapp.cell.safety.cell_bodies import cell_bodies
-from cellapp.commands.trials.blind import TrialNoise
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Arm, Profile
@@ -136,12 +135,6 @@ def cases(arms: Sequence[str], kind: str, n: int, seed: int) -> list[Case]:
     return [found[place] for place in order]
 
 
-NOISES: Mapping[str, TrialNoise] = {
-    "gaussian": TrialNoise(),
-    "heavy": TrialNoise("heavy"),
-    "repeatability": TrialNoise("gaussian", 8e-6),
-}
-"""Scatter of readings: as stated, with heavy tails, or with 8 µrad of unstated repeatability of each joint."""
 LAWS = ("same", "other")
 RANGES = ("full", "narrow")
 PLANS = ("random", "designed")
@@ -163,8 +156,6 @@ class Setup(Record):
     ----------
     kind : str
         What is hidden: one of ``KINDS``, hard or mixed.
-    noise : str
-        One of ``NOISES``.
     laws : str
         same: by laws of the library's shape; other: by laws of other shapes.
     stops : int or None
@@ -178,7 +169,6 @@ class Setup(Record):
     """
 
     kind: str = ONE
-    noise: str = "gaussian"
     laws: str = "same"
     stops: int | None = None
     ranges: str = "full"
@@ -189,7 +179,6 @@ class Setup(Record):
         """Raise ``InputError`` for an unknown word, or for what does not belong together."""
         words: tuple[tuple[str, str, tuple[str, ...]], ...] = (
             ("kind", self.kind, (*KINDS, HARD, MIXED)),
-            ("noise", self.noise, tuple(NOISES)),
             ("laws", self.laws, LAWS),
             ("ranges", self.ranges, RANGES),
             ("plan", self.plan_method, PLANS),

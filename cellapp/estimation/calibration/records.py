@@ -166,16 +166,14 @@ class ClockResult(Record):
     """The tracker's clock against the controller's in one recording.
 
     ``offset_s`` is the tracker's stamp less the controller's of the same instant, at the tracker's stamp ``at_s``;
-    ``rate_ppm`` is by how much the tracker's clock is faster. Intervals hold with 95 %. Steps are pairs of a stamp and
+    ``rate_ppm`` is by how much the tracker's clock is faster. Steps are pairs of a stamp and
     the size [s]; where there are some, ``offset_s`` is that of the first of the ``segments`` between them.
     """
 
     offset_s: float
     offset_standard_error_s: float
-    offset_interval_s: tuple[float, float]
     rate_ppm: float
     rate_standard_error_ppm: float
-    rate_interval_ppm: tuple[float, float]
     at_s: float
     steps_of_joints: tuple[tuple[float, float], ...] = ()
     steps_of_points: tuple[tuple[float, float], ...] = ()

@@ -265,7 +265,6 @@ def orientation_characteristics(
         repeatability_mrad=xyz_of(3e3 * scatter),
         repeatability_expanded_mrad=_COVERAGE * 3e3 * largest / math.sqrt(2.0 * (n - 1)),
         n=n,
-        deviations_mrad=tuple(xyz_of(1e3 * one) for one in off),
     )
 
 
@@ -293,7 +292,6 @@ def _pose(pose: str, cycles: Cycles, axes_M: Array, rng: np.random.Generator) ->
         error_mm=_mm(accuracy_vector(cycles.attained, cycles.commanded) @ axes_M),
         accuracy=accuracy,
         repeatability=repeatability,
-        deviations_mm=tuple(_mm(one) for one in (cycles.attained - cycles.commanded) @ axes_M),
         tracker_rp_mm=tracker * 1e3,
     )
 

@@ -27,7 +27,7 @@ class OrientationCharacteristics(Record):
     """Accuracy AP_a, AP_b, AP_c and repeatability RP_a, RP_b, RP_c of the orientation at one pose.
 
     Angles about the axes of the arm's base from the commanded to the attained orientation [mrad], with the expanded
-    uncertainties of both (coverage factor 2), of ``n`` cycles. ``deviations_mrad`` are those of each cycle.
+    uncertainties of both (coverage factor 2), of ``n`` cycles.
     """
 
     accuracy_mrad: Vector3
@@ -35,7 +35,6 @@ class OrientationCharacteristics(Record):
     repeatability_mrad: Vector3
     repeatability_expanded_mrad: float
     n: int
-    deviations_mrad: tuple[Vector3, ...]
 
 
 class PoseCharacteristics(Record):
@@ -46,8 +45,6 @@ class PoseCharacteristics(Record):
     error_mm : three numbers
         From the commanded to the mean attained position, along the axes of the arm's base: AP_x, AP_y, AP_z. Of
         cooperative tests: of the vector between both SMRs, along the axes of the tracker.
-    deviations_mm : tuple
-        From the commanded position to each attained one, in the order of the cycles.
     tracker_rp_mm : float or None
         RP that the tracker's stated uncertainty alone would show, if all of it scattered from cycle to cycle.
     orientation : OrientationCharacteristics or None
@@ -58,7 +55,6 @@ class PoseCharacteristics(Record):
     error_mm: Vector3
     accuracy: IsoValue
     repeatability: IsoValue
-    deviations_mm: tuple[Vector3, ...]
     tracker_rp_mm: float | None = None
     orientation: OrientationCharacteristics | None = None
     omitted_when_none = frozenset({"orientation"})
@@ -211,7 +207,6 @@ class BaseAlignment(Record):
     n: int
     rms_mm: float
     uncertainty_mm: float
-    smr_offset_mm: Vector3
 
 
 class ArmIso9283(Record):

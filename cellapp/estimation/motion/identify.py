@@ -303,40 +303,36 @@ def _mean_lag(problem: Fittings, solution: Solution) -> float:
 def _clock_fit(problem: Fittings, solution: Solution, number: int) -> ClockResult:
     """Return the clocks of one recording; their offset includes the inseparable mean lag of the joints."""
     track, layout = problem.tracks[number], problem.layout
-    width, rate = solution.noise.half_width(), layout.rate(number)
+    rate = layout.rate(number)
     lags = [place for place, term in enumerate(layout.terms, start=layout.geometric) if term.law is JointLaw.LAG]
 
-    def stated(place: int, unit: float) -> tuple[float, float, tuple[float, float]]:
-        """Return value, standard error and interval."""
+    def stated(place: int, unit: float) -> tuple[float, float]:
+        """Return value and standard error."""
         share = np.zeros(layout.size)
         share[place] = unit
         if place != rate:
             share[lags] = unit / max(len(lags), 1)
-        value, error = float(share @ solution.values), math.sqrt(float(share @ solution.noise.covariance @ share))
-        half = float(width[place]) * error
-        return value, error, (value - half, value + half)
+        return float(share @ solution.values), math.sqrt(float(share @ solution.noise.covariance @ share))
 
-    segments: list[tuple[tuple[float, float, tuple[float, float]], float, float]] = []
+    segments: list[tuple[tuple[float, float], float, float]] = []
     for segment in range(layout.segments[number]):
         times = track.time_s[track.segment == segment]
         value = stated(layout.offsets(number).start + segment, 1.0)
         segments.append((value, float(times[0]), float(times[-1])))
-    rate_ppm, rate_error, rate_interval = stated(rate, 1e6)
+    rate_ppm, rate_error = stated(rate, 1e6)
     # the first segment between steps with training points
-    (offset_s, error_s, interval_s), *_ = segments[int(track.segment[track.learnt][0])]
+    (offset_s, error_s), *_ = segments[int(track.segment[track.learnt][0])]
     return ClockResult(
         offset_s=offset_s,
         offset_standard_error_s=error_s,
-        offset_interval_s=interval_s,
         rate_ppm=rate_ppm,
         rate_standard_error_ppm=rate_error,
-        rate_interval_ppm=rate_interval,
         at_s=track.middle_s,
         steps_of_joints=tuple((step.at_s, step.step_s) for step in track.path.stamps.steps),
         steps_of_points=tuple((step.at_s, step.step_s) for step in track.stamps.steps),
         segments=tuple(
             ClockSegmentResult(offset_s=value, offset_standard_error_s=error, first_s=begin, last_s=end)
-            for (value, error, _), begin, end in (segments if len(segments) > 1 else ())
+            for (value, error), begin, end in (segments if len(segments) > 1 else ())
         ),
         correlation=track.start.correlation,
     )

@@ -147,10 +147,6 @@ class NoiseModel:
     freedom: Array = field(repr=False)
     level: tuple[float, ...]
 
-    def half_width(self) -> Array:
-        """Return the half widths (k,) of the 95 % intervals, in standard errors."""
-        return np.asarray(scipy.special.stdtrit(self.freedom, 0.975))
-
 
 @dataclass(frozen=True, eq=False)
 class _Band:

@@ -36,9 +36,6 @@ def seal(
         str,
         typer.Option("--kind", metavar="KIND", help="What is hidden: one, none, outside, pair, triple, hard, mixed."),
     ] = "one",
-    noise: Annotated[
-        str, typer.Option("--noise", metavar="NOISE", help="gaussian, heavy (tails) or repeatability (8 µrad a joint).")
-    ] = "gaussian",
     laws: Annotated[
         str, typer.Option("--laws", metavar="LAWS", help="same: shaped as the library's; other: by other shapes.")
     ] = "same",
@@ -58,7 +55,7 @@ def seal(
     from cellapp.commands.trials.sealed_setup import Setup
 
     setup = Setup(
-        kind=kind, noise=noise, laws=laws, stops=stops, ranges=ranges,
+        kind=kind, laws=laws, stops=stops, ranges=ranges,
         stated=not unstated, plan_method=plan,
     )  # fmt: skip
     with CommandJob(json_file) as job:

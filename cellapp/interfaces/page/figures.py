@@ -17,6 +17,7 @@ from cellapp.commands.view.charts import Array, Chart, Limit, Series
 from cellapp.commands.view.parts import Facts, Parts, Section
 from cellapp.commands.view.table import Table
 from cellapp.interfaces.render.chart import (
+    DOT,
     FEW,
     LegendEntry,
     Look,
@@ -34,6 +35,10 @@ _TOP, _RIGHT, _BOTTOM = 8.0, 12.0, 36.0
 _FONT = 9.5
 _CHARACTER = 0.58
 """Mean width of a digit relative to the font size."""
+_MARKS = '<text x="{x}" y="{y}" text-anchor="middle" stroke="none" fill="currentColor">{marks}</text>'
+"""One element: each character begins at its own place."""
+_HALF_A_MARK = 0.35 * _FONT
+"""From the middle of a mark down to its base line."""
 _MOST_TICKS = 6
 """Largest number of ticks of an axis."""
 _MANY = 1000
@@ -141,21 +146,12 @@ def _band(one: Series, x_axis: Scale, y_axis: Scale) -> str:
 
 
 def _points(pixels: Array, look: Look) -> str:
-    if len(pixels) <= FEW and (look.swatch != "round" or look.hollow):
-        shapes = "".join(_MARKERS[look.swatch].format(x=x, y=y) for x, y in pixels[np.isfinite(pixels).all(axis=1)])
-        fill = "" if look.hollow or look.swatch == "cross" else ' fill="currentColor"'
-        return f'<path d="{shapes}"{fill} stroke-width="1.2"/>'
+    if look.mark != DOT:
+        seen = pixels[np.isfinite(pixels).all(axis=1)]
+        x, y = (" ".join(f"{one:.1f}" for one in its) for its in (seen[:, 0], seen[:, 1] + _HALF_A_MARK))
+        return _MARKS.format(x=x, y=y, marks=escape(look.mark) * len(seen))
     width = 5.0 if len(pixels) <= FEW else 3.0 if len(pixels) <= _MANY else 2.0
     return f'<path d="{dots(pixels)}" stroke-linecap="round" stroke-width="{width}"/>'
-
-
-_MARKERS = {
-    "round": "M{x:.1f} {y:.1f}m-2.5 0a2.5 2.5 0 1 0 5 0a2.5 2.5 0 1 0-5 0",
-    "square": "M{x:.1f} {y:.1f}m-3-3h6v6h-6z",
-    "triangle": "M{x:.1f} {y:.1f}m0-4l4 7h-8z",
-    "diamond": "M{x:.1f} {y:.1f}m0-4l3.5 4l-3.5 4l-3.5-4z",
-    "cross": "M{x:.1f} {y:.1f}m-3-3l6 6m0-6l-6 6",
-}
 
 
 # -- A chart as a figure of the page, with the same content as in the terminal ----------------------------------------

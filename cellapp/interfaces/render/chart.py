@@ -16,32 +16,21 @@ from cellapp.commands.view.charts import LEAST, Array, Axis, Chart, Series
 from cellapp.commands.view.words import METHOD_WORDS, STAGE_WORDS
 from cellapp.ground.results import STAGES
 
-Swatch = Literal["line", "dot", "dash", "round", "square", "triangle", "diamond", "cross", "limit"]
-"""Appearance of a series in the legend: line (full, dotted, dashed), points of a shape, a limit."""
+Swatch = Literal["line", "dot", "dash", "point", "limit"]
+"""Appearance of a series in the legend: line (full, dotted, dashed), points, a limit."""
+DOT = "●"
+"""Mark of points without one of their own, and of those that are too many to tell marks apart."""
 
 ARM_COLOURS = 4
 """Number of arm colours in the style sheet; higher styles belong to no arm."""
 MARKED = 40
 """Largest number of points that a line marks, unless it has a band."""
 FEW = 60
-"""Largest number of points that are drawn with the shape of their mark; more are dots."""
+"""Largest number of points that are drawn with their mark; more are dots."""
 _STAGE_COLOURS = (*STAGES, "tracker-network")
 _WORDS = dict([*METHOD_WORDS.items(), *STAGE_WORDS.items()])
 _DASHES: Mapping[str, Swatch] = {"·": "dot", ":": "dash"}
 """Marks of lines that only guide the eye."""
-_HOLLOW = "○△□◇"
-_SHAPES: Mapping[str, Swatch] = {
-    "B": "square",
-    "■": "square",
-    "□": "square",
-    "T": "triangle",
-    "△": "triangle",
-    "▲": "triangle",
-    "◇": "diamond",
-    "◆": "diamond",
-    "X": "cross",
-    "×": "cross",
-}
 
 
 def css_colour(colour: str) -> str:
@@ -51,11 +40,11 @@ def css_colour(colour: str) -> str:
 
 @dataclass(frozen=True)
 class Look:
-    """Colour (a variable of the style sheet, without dashes), swatch, and whether points are hollow."""
+    """Colour (a variable of the style sheet, without dashes), swatch, and the mark of points."""
 
     colour: str
     swatch: Swatch
-    hollow: bool = False
+    mark: str = DOT
 
     @property
     def css_colour(self) -> str:
@@ -78,9 +67,7 @@ def look_of(chart: Chart, one: Series) -> Look:
     colour = colours[one.style] if one.style < len(colours) else "soft" if guide else "ink"
     if one.kind != "points":
         return Look(colour, guide or "line")
-    several = len(one.x) > FEW
-    shape = "round" if several else _SHAPES.get(one.mark, "round")
-    return Look(colour, shape, bool(one.mark) and one.mark in _HOLLOW and not several)
+    return Look(colour, "point", one.mark if one.mark and len(one.x) <= FEW else DOT)
 
 
 def is_marked(one: Series) -> bool:

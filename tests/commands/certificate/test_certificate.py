@@ -73,15 +73,11 @@ def arm(accuracy_mm: float, expanded_mm: float | None, n: int) -> ArmIso9283:
     value = IsoValue(value_mm=accuracy_mm, expanded_mm=expanded_mm, n=n)
     small = IsoValue(value_mm=0.01, expanded_mm=0.001, n=n)
     poses = tuple(
-        PoseCharacteristics(pose=name, error_mm=(0.0, 0.0, 0.0), accuracy=one, repeatability=small, deviations_mm=())
+        PoseCharacteristics(pose=name, error_mm=(0.0, 0.0, 0.0), accuracy=one, repeatability=small)
         for name, one in (("P1", small), ("P2", value))
     )
     nominal = PoseCharacteristics(
-        pose="P1",
-        error_mm=(9.0, 0.0, 0.0),
-        accuracy=IsoValue(value_mm=9.0, expanded_mm=0.1, n=n),
-        repeatability=small,
-        deviations_mm=(),
+        pose="P1", error_mm=(9.0, 0.0, 0.0), accuracy=IsoValue(value_mm=9.0, expanded_mm=0.1, n=n), repeatability=small
     )
     return ArmIso9283(
         payload_kg=0.3, tests={"nominal": CommandedTests(pose=(nominal,)), "calibrated": CommandedTests(pose=poses)}

@@ -132,9 +132,7 @@ def value(n: int) -> IsoValue:
 
 
 def posed(n: int, **more: object) -> ArmIso9283:
-    pose = PoseCharacteristics(
-        pose="P1", error_mm=(0.1, 0.0, 0.0), accuracy=value(n), repeatability=value(n), deviations_mm=()
-    )
+    pose = PoseCharacteristics(pose="P1", error_mm=(0.1, 0.0, 0.0), accuracy=value(n), repeatability=value(n))
     tests = {"nominal": CommandedTests(pose=(pose,))}
     return ArmIso9283.model_validate({"payload_kg": 0.3, "tests": tests, **more})
 

@@ -69,7 +69,6 @@ def pose_test(cycles: int = 30) -> Iso9283Result:
         error_mm=(0.08, 0.0, 0.0),
         accuracy=IsoValue(value_mm=0.08, expanded_mm=0.01, n=cycles),
         repeatability=IsoValue(value_mm=0.02, expanded_mm=0.01, n=cycles),
-        deviations_mm=((0.08, 0.0, 0.0),),
     )
     arm = ArmIso9283(payload_kg=1.0, tests={"calibrated": CommandedTests(pose=(pose,))})
     return Iso9283Result(tests=("pose",), arms={"left": arm})

@@ -233,7 +233,7 @@ def test_a_run_of_an_earlier_version_opens_and_says_what_is_ignored(some_removed
     profile = load_profile(PROFILES / "twin.yaml")
     with RunFile.create(tmp_path / "run", profile) as run:
         path = run.path
-        run.append_stage("dance", None, "{}", None)
+        run.append_stage("dance", basis_of(run).model_dump_json(), "{}", None)
     with closing(sqlite3.connect(path)) as connection, connection:
         ((text,),) = connection.execute("SELECT value FROM meta WHERE key = 'profile'")
         content = json.loads(text)

@@ -86,7 +86,7 @@ def test_a_mesh_is_drawn_as_its_hull_and_a_missing_one_is_left_out(tmp_path: Pat
 def test_what_is_mounted_on_a_flange_is_drawn_where_the_arm_stands_at_home() -> None:
     knob = {"shape": "sphere", "radius": 0.05, "fixed_to": "flange", "arm": "left"}
     profile = with_obstacles(knob=knob, foot={**knob, "fixed_to": "base"})
-    found = {one.name: one.p_C.mean(axis=0) for one in outlined_obstacles(profile)}
+    found = {name: p_C.mean(axis=0) for name, p_C in outlined_obstacles(profile).items()}
     base = profile.arms["left"].base
     assert base is not None
     assert np.allclose(found["foot"], base.position, atol=0.01)

@@ -91,7 +91,7 @@ def discoveries() -> Parts:
     return [
         *DISCOVER_VERB.view(result).parts,
         "--- page",
-        discovery_section(result, DiscoverySettings(), {name: () for name in result.arms}),
+        discovery_section(result, DiscoverySettings()),
         "--- others",
         *DISCOVER_VERB.view(DiscoverResult(arms=others)).parts,
         "--- probabilities",
@@ -177,7 +177,7 @@ def test_the_page_and_the_overview_show_a_check(finished_copy: Path) -> None:
         assert "do not use it as it is: the last 'check' found: arm changed" in overview_sentences(run_overview(run))
         data = read_report_data(run)
         (section,) = (one for one in report_sections(run, data) if one.key == "check")
-    assert dict(out_of_date_lines(data))["Check of the calibration"].endswith("(arm left: zero of joint 3)")
+    assert dict(out_of_date_lines(data))[CHECK].endswith("(arm left: zero of joint 3)")
     drawn = template("sections/layout.html").module.folding(drawn_sections([section])[0])  # type: ignore[attr-defined]
     assert "zero of joint 3 by 0.2985 +- 0.0052 mrad" in drawn
     assert "&lt;b&gt;left" in drawn

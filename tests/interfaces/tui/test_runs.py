@@ -12,6 +12,7 @@ from cellapp.cell.run import RunFile
 from cellapp.commands.record import Work
 from cellapp.commands.report.request import ReportRequest
 from cellapp.commands.run_results import ReportResult
+from cellapp.commands.stages import basis_of
 from cellapp.interfaces.tui.app import CellApp
 from tests.cell.run.small_runs import collected_run, set_began
 from tests.interfaces.tui.pilot import PROFILES, ended, opened, tells, until
@@ -70,7 +71,7 @@ async def test_the_path_of_a_report_is_said_and_a_missing_one_is_written(
         await pilot.press("o")
         await tells(pilot, "is not calibrated; there is nothing to report yet")
         with RunFile.open(LOGS / "first", write=True) as run:
-            run.append_stage("calibrate", None, "{}", None)
+            run.append_stage("calibrate", basis_of(run).model_dump_json(), "{}", None)
         await pilot.press("r")
         await until(pilot, lambda: "calibrate" in about(app), "the list again")
         await pilot.press("o")

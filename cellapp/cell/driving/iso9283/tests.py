@@ -211,12 +211,7 @@ def _base(found: IsoFindings, name: str) -> BaseAlignment | None:
         return None
     frames = [frame for (arm, _), one in found.programmes.items() if arm == name for frame in one.frame.values()]
     variance = float(np.mean([np.trace(frame) / 3.0 for frame in frames])) if frames else 0.0
-    return BaseAlignment(
-        n=alignment.n,
-        rms_mm=alignment.rms_m * 1e3,
-        uncertainty_mm=float(np.sqrt(variance)) * 1e3,
-        smr_offset_mm=xyz_of(alignment.arm.geometry.tool * 1e3),
-    )
+    return BaseAlignment(n=alignment.n, rms_mm=alignment.rms_m * 1e3, uncertainty_mm=float(np.sqrt(variance)) * 1e3)
 
 
 def _pair(found: IsoFindings, pair: tuple[str, str], rng: np.random.Generator) -> PairIso9283:

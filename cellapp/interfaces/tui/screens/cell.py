@@ -77,7 +77,7 @@ class CellScreen(DayScreen):
                             FindingsTable(id="findings"), f"Checks, failed ones first; {SHOWN['go']} asks again"
                         )
                     with TabPane("Map", id="tab-map"):
-                        yield CellMap("above", id="cell-map")
+                        yield CellMap(id="cell-map")
                     yield TabPane("Runs", id="tab-runs")
                 yield Static("", id="cell-detail", markup=False)
 

@@ -78,9 +78,7 @@ class PlanScreen(DayScreen):
             with TabPane("Check", id="tab-check"):
                 yield PartsView(_NO_CHECK, id="refusals")
             with TabPane("Above", id="tab-above"):
-                yield CellMap("above", id="plan-above")
-            with TabPane("Tracker", id="tab-tracker"):
-                yield CellMap("tracker", id="plan-tracker")
+                yield CellMap(id="plan-above")
         yield Static("", id="plan-detail", markup=False)
 
     def on_mount(self) -> None:

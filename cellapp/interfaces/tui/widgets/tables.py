@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from rich.text import Text
 from textual import work
@@ -56,11 +56,7 @@ def explain_tabs(tabs: TabbedContent) -> None:
 
 
 class CellMap(ChartPlot):
-    """Bases, tracker and stops, seen from above or from the tracker."""
-
-    def __init__(self, view: Literal["above", "tracker"], *, id: str) -> None:
-        super().__init__(id=id)
-        self._view: Literal["above", "tracker"] = view
+    """Bases, tracker and stops from above."""
 
     def show_cell(self, profile: Profile | None, stops: Sequence[PlannedStop] = ()) -> None:
         """Draw the cell of a profile with its planned stops; blank without a profile."""
@@ -74,7 +70,7 @@ class CellMap(ChartPlot):
     def _make(self, profile: Profile, stops: Sequence[PlannedStop]) -> None:
         from cellapp.commands.plan.charts import cell_map_chart
 
-        made = cell_map_chart(profile, stops, self._view)
+        made = cell_map_chart(profile, stops)
         if not get_current_worker().is_cancelled:  # else another one is being made
             self.call_later(setattr, self, "chart", made)
 
