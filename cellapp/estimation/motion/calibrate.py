@@ -142,13 +142,11 @@ def recorded_arm(profile: Profile, name: str, readings: Readings, recordings: Se
     """Collect an arm's recordings and readings at rest; of the readings only the identify split is used."""
     arm, settings = profile.arms[name], profile.calibration
     nominal = nominal_arm(arm)
-    stops, held_out_stops = _stops(readings)
     return RecordedArm(
         nominal,
         recordings,
         tool_unknown=arm.smr.offset == "unknown",
-        stops=stops,
-        held_out_stops=held_out_stops,
+        stops=_stops(readings),
         parameter_set=settings.parameter_set,
         prior_sigma=prior_sigmas(nominal, settings.priors, arm.fixed),
         bodies=bodies_of(arm),
@@ -194,7 +192,7 @@ def samples_of(fit: MotionFit, joints: int, at_rest: Callable[[TimedPath, Array]
             rows = _past_reversals(one, thinned(np.flatnonzero(chosen), _TRIED * most))
             parts.append((word, one, thinned(rows, most)))
     n = sum(len(rows) for *_, rows in parts)
-    times = [(one.track.path, one.track.controller_times(rows, one.offsets_s, one.rate)) for _, one, rows in parts]
+    times = [(one.track.path, one.track.controller_times(rows, one.clock_s)) for _, one, rows in parts]
     q = [path.at(time_s)[0] if at_rest is None else at_rest(path, time_s) for path, time_s in times]
     stated = [one.track.sigma_m[rows] for _, one, rows in parts if one.track.sigma_m is not None]
     sides = [path.direction_at(time_s) for path, time_s in times]
@@ -214,7 +212,7 @@ def samples_of(fit: MotionFit, joints: int, at_rest: Callable[[TimedPath, Array]
 
 def _past_reversals(one: RecordingFit, rows: NDArray[np.intp]) -> NDArray[np.intp]:
     """Return the points at which no joint has just reversed; all points if there is none."""
-    path, time_s = one.track.path, one.track.controller_times(rows, one.offsets_s, one.rate)
+    path, time_s = one.track.path, one.track.controller_times(rows, one.clock_s)
     q = path.at(time_s)[0]
     moves = np.ptp(q, axis=0) > _MOVES_RAD if len(q) else np.zeros(q.shape[1], dtype=np.bool_)
     past = (np.abs(path.travel_at(time_s, q)) > _PAST_PLAY_RAD)[:, moves].all(axis=1)
@@ -231,15 +229,14 @@ def _beside(times: Sequence[tuple[TimedPath, Array]]) -> Array | None:
     return np.concatenate([blank if q is None else q for q, blank in zip(found, unknown, strict=True)])
 
 
-def _stops(readings: Readings) -> tuple[Stops | None, NDArray[np.bool_] | None]:
-    """Return the readings at rest for a fit with recordings, and a mask of those held out; None if none may be used."""
+def _stops(readings: Readings) -> Stops | None:
+    """Return the readings at rest for a fit with recordings; None if none may be used."""
     learnt = np.zeros(len(readings), dtype=bool)
     learnt[readings.in_split("identify")] = True
     if not learnt.any():
-        return None, None
+        return None
     approach = readings.approach.astype(np.float64)
-    stops = Stops(readings.q, readings.p_M, coordinate_uncertainty(readings), approach, readings.step)
-    return stops, ~learnt
+    return Stops(readings.q, readings.p_M, coordinate_uncertainty(readings), approach, readings.step, learnt)
 
 
 def _errors_at_rest(nominal: Geometry, found: Geometry, held_out: Readings) -> dict[Stage, StageErrors]:
@@ -332,7 +329,7 @@ def _points(fit: MotionFit, one: RecordingFit, *, held_out: bool) -> _Residuals:
     """Return the points of a recording without gross errors."""
     track = one.track
     rows = np.flatnonzero(track.held_out if held_out else track.learnt)
-    time_s = track.controller_times(rows, one.offsets_s, one.rate)
+    time_s = track.controller_times(rows, one.clock_s)
     q, _ = track.path.at(time_s)
     moved = q - fit.half_play * track.path.direction_at(time_s)
     off_M = track.p_M[rows] - smr_positions(fit.identification.geometry, moved)

@@ -25,10 +25,10 @@ import numpy as np
 import scipy
 
 from cellapp.estimation.calibration.least_squares import solve_psd
-from cellapp.estimation.motion.fit import Fittings, Solution, Source, allow_for_missing, normal_equations, solve
+from cellapp.estimation.motion.fit import Solution, Source, allow_for_missing, normal_equations, solve
 from cellapp.estimation.motion.identify import MotionFit, RecordedArm, held_out_rms_mm, motion_fit, motion_problem
 from cellapp.estimation.motion.laws import Fading, JointLaw, JointLaws, JointTerm, Knee, of_all_joints, state_in_motion
-from cellapp.estimation.motion.residuals import residuals, whitening_filter
+from cellapp.estimation.motion.residuals import MotionProblem, residuals, whitening_filter
 from cellapp.estimation.motion.search_state import (
     CONFOUNDED,
     FREQUENCIES,
@@ -47,7 +47,6 @@ from cellapp.estimation.motion.search_state import (
     reshaped,
     settled,
     shown,
-    started,
     statistic_of,
     strongest_vibration,
     terms_of,
@@ -113,7 +112,7 @@ def effects_in_motion(arm: RecordedArm, told: Told = ignore_words) -> MotionDisc
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    problem: Fittings
+    problem: MotionProblem
     told: Told
     own: tuple[MotionLaw, ...] = ()
     """Laws of plug-ins that depend on speeds."""
@@ -134,7 +133,7 @@ class _Search:
 
     def run(self) -> MotionDiscovery:
         """Add laws of all joints and lines until chance explains the rest."""
-        state = self._state(self.problem.without_terms(), None)
+        state = self._state(self.problem.with_terms(()), None)
         state = _whitened(state)
         first_mm, steps = state.heldout_mm, list[SearchStep]()
         loaded = (JointLaw.WINDUP, JointLaw.COMPLIANCE) if self.problem.masses is not None else ()
@@ -199,7 +198,7 @@ class _Search:
             )
             for at_rest in (True, False)
         )
-        places = [*range(final.problem.layout.geometric), *places_of(final, [term for term, _ in stays])]
+        places = [*range(final.problem.geometric), *places_of(final, [term for term, _ in stays])]
         covariance = final.solution.noise.covariance[np.ix_(places, places)]
         laws = JointLaws(stays, moves, final.problem.masses)
         missed = tuple(dict.fromkeys(self.not_fitted))
@@ -270,10 +269,10 @@ class _Search:
         parts = [term for term in known if term.refines]
         if not parts or not isinstance(law, JointLaw):
             return state, steps
-        rest = tuple(term for term in state.problem.layout.terms if term not in parts)
+        rest = tuple(term for term in state.problem.terms if term not in parts)
         values = np.delete(state.solution.values, places_of(state, parts))
         self.told(f"constants of {law.value.replace('_', ' ')}")
-        problem = state.problem.without_terms().with_terms(rest)
+        problem = state.problem.with_terms(rest)
         better = refining_terms(problem, replace(state.solution, values=values), law)
         if set(better) == set(parts):
             return state, steps
@@ -304,7 +303,7 @@ class _Search:
         if not late:
             return state, steps
         usual, own = float(np.median([term.shape[0] for term in late])), {term.joint: term for term in late}
-        joints = range(state.problem.layout.parameters.joints)
+        joints = range(state.problem.parameters.joints)
         everywhere = tuple(own.get(joint, replace(late[0], joint=joint, shape=(usual,))) for joint in joints)
         springs = {term.joint for term in terms_of(JointLaw.VIBRATION, steps)}
         twisted = tuple(JointTerm(JointLaw.INERTIA, joint) for joint in sorted(springs))
@@ -318,7 +317,7 @@ class _Search:
     def _vibration(self, state: State, steps: list[SearchStep]) -> tuple[State, SearchStep] | None:
         """Return the joint vibration that is least likely to be chance; None if there is none."""
         taken = {term.joint for term in terms_of(JointLaw.VIBRATION, steps)}
-        joints = state.problem.layout.parameters.joints
+        joints = state.problem.parameters.joints
         if len(taken) == joints:
             return None
         power, terms = strongest_vibration(state.problem, state.solution, sorted(taken))
@@ -351,9 +350,9 @@ class _Search:
                 return state, steps
             steps = [replace(step, terms=terms) for step, terms in zip(steps, after)]
             renamed = {old: new for step, terms in zip(steps, before) for old, new in zip(terms, step.terms)}
-            terms = tuple(renamed.get(term, term) for term in state.problem.layout.terms)
+            terms = tuple(renamed.get(term, term) for term in state.problem.terms)
             self.told("shapes of laws")
-            state = self._state(state.problem.with_shapes(terms), started(state, terms))
+            state = self._fitted(state, terms)
             best = min(best, (state, steps), key=lambda one: one[0].heldout_mm)
         shaped = dict.fromkeys(step.law.value for step in steps if any(term.shape for term in step.terms))
         self.not_fitted.append(f"exact shape of {', '.join(shaped)}")
@@ -399,19 +398,17 @@ class _Search:
         log_p = log_chance(statistic_of(state, terms), len(tested(terms)), self.alternatives * more)
         return log_p > math.log(_CHANCE)
 
+    def _fitted(self, state: State, terms: Sequence[JointTerm]) -> State:
+        """Fit with these terms, in this order, from the values of a state; terms that it lacks begin at their start."""
+        before, own = state.problem, slice(state.problem.geometric, state.problem.arm)
+        known = dict(zip(before.terms, state.solution.values[own].tolist(), strict=True))
+        of_terms = [known.get(term, term.start) for term in terms]
+        values = np.concatenate([state.solution.values[: own.start], of_terms, state.solution.values[own.stop :]])
+        return self._state(before.with_terms(terms), values)
+
     def _refitted(self, state: State, steps: Sequence[SearchStep]) -> State:
-        """Fit again with the terms of ``steps``, in that order; new terms start at zero."""
-        layout, terms = state.problem.layout, tuple(term for step in steps for term in step.terms)
-        problem = state.problem.without_terms().with_terms(terms)
-        values = np.insert(
-            np.delete(state.solution.values, np.arange(layout.geometric, layout.arm)),
-            layout.geometric,
-            [
-                float(state.solution.values[places_of(state, [term])[0]]) if term in layout.terms else term.start
-                for term in terms
-            ],
-        )
-        return self._state(problem, values)
+        """Fit again with the terms of ``steps``."""
+        return self._fitted(state, [term for step in steps for term in step.terms])
 
     def _plain(self, state: State) -> State:
         """Fit again without whitening."""
@@ -420,10 +417,10 @@ class _Search:
     def _unwhitened(self, state: State, plain: State) -> State:
         """Fit without whitening, for predictions. Lines, which are fast, keep their values from the whitened residuals
         if these determine them better than ``plain`` does."""
-        problem, solution, size = plain.problem, state.solution, state.problem.layout.geometric
+        problem, solution, size = plain.problem, state.solution, state.problem.geometric
         mean, precision = problem.mean.copy(), problem.precision.copy()
         own, theirs = (np.diag(one.noise.covariance) for one in (solution, plain.solution))
-        for number, term in enumerate(problem.layout.terms, start=size):
+        for number, term in enumerate(problem.terms, start=size):
             if term.law is JointLaw.LINE and own[number] < theirs[number]:
                 mean[number] = solution.values[number]
                 precision[number] = 1.0 / own[number]
@@ -449,16 +446,15 @@ class _Search:
             state = again
         return state
 
-    def _state(self, problem: Fittings, start: Array | None) -> State:
-        laws = list(dict.fromkeys(term.law.value for term in problem.layout.terms))
+    def _state(self, problem: MotionProblem, start: Array | None) -> State:
+        laws = list(dict.fromkeys(term.law.value for term in problem.terms))
         beginning = f"with {', '.join(laws)}: " if laws else ""
         solution = solve(problem, start, lambda words: self.told(beginning + words), to_its_end=self.to_its_end)
         return State(problem, solution, held_out_rms_mm(problem, solution))
 
-    def _extended(self, state: State, terms: tuple[JointTerm, ...]) -> State:
-        at = state.problem.layout.arm
-        start = np.insert(state.solution.values, at, [term.start for term in terms])
-        return self._state(state.problem.with_terms(terms), start)
+    def _extended(self, state: State, terms: Sequence[JointTerm]) -> State:
+        """Fit again with further terms."""
+        return self._fitted(state, (*state.problem.terms, *terms))
 
     def _law(
         self, state: State, laws: Sequence[JointLaw | MotionLaw], steps: Sequence[SearchStep]
@@ -492,7 +488,7 @@ class _Search:
     ) -> Iterator[tuple[tuple[JointTerm, ...], int]]:
         """Yield terms with which a law may enter, and the number of alternatives: the plain law, the law with refining
         parts, or these parts beside what entered before."""
-        plain = () if has(steps, law) else of_all_joints(law, state.problem.layout.parameters.joints)
+        plain = () if has(steps, law) else of_all_joints(law, state.problem.parameters.joints)
         if plain:
             yield plain, self.alternatives
         refined = any(term.refines for term in terms_of(law, steps))
@@ -506,7 +502,7 @@ class _Search:
         taken = [(term.joint, term.cycles) for step in steps for term in step.terms if term.law is JointLaw.LINE]
         if len(taken) >= 2 * _MOST_LINES:
             return None
-        joints = range(state.problem.layout.parameters.joints)
+        joints = range(state.problem.parameters.joints)
         power, turns = line_powers(state.problem, state.solution, joints)
         threshold = _WORTH_A_FIT * math.log(power.size / _CHANCE)
         for joint, cycles in taken:
@@ -539,9 +535,8 @@ class _Search:
 
 def _whitened(state: State) -> State:
     """Return the state with whitening filters of its residuals, so that every frequency is weighted by its noise."""
-    model = state.problem.model(state.solution.values)
     filters = tuple(
-        whitening_filter(residuals(model, track, number, source.rows), track.stamps.period_s)
+        whitening_filter(residuals(state.problem, state.solution.values, number, source.rows), track.stamps.period_s)
         for number, (track, source) in enumerate(zip(state.problem.tracks, state.solution.sources))
     )
     return replace(state, problem=replace(state.problem, whitening=filters))
@@ -592,7 +587,7 @@ _LOG_2 = math.log(2.0)
 """Ratio of median to mean power of noise: powers of cosine and sine together are exponential."""
 
 
-def line_powers(problem: Fittings, solution: Solution, joints: Sequence[int]) -> tuple[Array, Array]:
+def line_powers(problem: MotionProblem, solution: Solution, joints: Sequence[int]) -> tuple[Array, Array]:
     """Return the power (joints, counts + 1) of each cycle count of some joints in the residuals, in units of the noise
     there: by chance it exceeds ``ln(1 / p)`` with probability p. Return also the turns (joints,) in the range of each.
 
@@ -648,15 +643,15 @@ def alternatives(law: JointLaw) -> int:
     return len(_KNEES) ** 2 if law is JointLaw.COMPLIANCE else len(_KINDS) * len(REACHES)
 
 
-def refining_terms(problem: Fittings, solution: Solution, law: JointLaw) -> tuple[JointTerm, ...]:
+def refining_terms(problem: MotionProblem, solution: Solution, law: JointLaw) -> tuple[JointTerm, ...]:
     """Return the parts of one of the laws ``REFINED`` that remove most from the residuals: for lost motion of one kind
     and with one reach, except at joints that a separate reach fits clearly better; for compliance one or two knees a
     joint."""
     return _knees(problem, solution) if law is JointLaw.COMPLIANCE else _fading(problem, solution, law)
 
 
-def _fading(problem: Fittings, solution: Solution, law: JointLaw) -> tuple[JointTerm, ...]:
-    joints, reaches = range(problem.layout.parameters.joints), range(len(REACHES))
+def _fading(problem: MotionProblem, solution: Solution, law: JointLaw) -> tuple[JointTerm, ...]:
+    joints, reaches = range(problem.parameters.joints), range(len(REACHES))
     fading = [replace(kind, reach=reach) for kind in _KINDS for reach in REACHES]
     parts = [JointTerm(law, joint, fading=one) for one in fading for joint in joints]
     gains = _gains(problem, solution, law, parts)
@@ -688,7 +683,7 @@ def _top(grid: Sequence[float], place: int, gains: Sequence[float]) -> float:
     return float(grid[place] * (grid[place + 1] / grid[place]) ** top)
 
 
-def _knees(problem: Fittings, solution: Solution) -> tuple[JointTerm, ...]:
+def _knees(problem: MotionProblem, solution: Solution) -> tuple[JointTerm, ...]:
     """Choose the knees of all joints: one of each, two where both clearly gain; then refine their values."""
     largest = _largest_torques(problem)
     options = [_one_or_two(_KNEES, _KNEES)] * len(largest)
@@ -711,7 +706,7 @@ def _one_or_two(first: Sequence[float], second: Sequence[float]) -> list[tuple[f
 
 
 def _best_shares(
-    problem: Fittings, solution: Solution, largest: Array, options: Sequence[Sequence[tuple[float, ...]]]
+    problem: MotionProblem, solution: Solution, largest: Array, options: Sequence[Sequence[tuple[float, ...]]]
 ) -> list[tuple[float, ...]]:
     """Choose one option of each joint, joint by joint the one with the largest gain beside those of the others."""
     keys = [(joint, share) for joint, own in enumerate(options) for share in sorted({s for one in own for s in one})]
@@ -731,27 +726,27 @@ def _best_shares(
     return chosen
 
 
-def _largest_torques(problem: Fittings) -> Array:
+def _largest_torques(problem: MotionProblem) -> Array:
     """Return the largest torque (N,) [Nm] of each joint in all recordings."""
-    largest = np.zeros(problem.layout.parameters.joints)
+    largest = np.zeros(problem.parameters.joints)
     for track in problem.tracks:
         stamps = track.path.stamps.time_s
         times = np.linspace(stamps[0], stamps[-1], _TORQUES)
-        torque = state_in_motion(track.path, times, problem.masses, torques=True).torque
+        torque = state_in_motion(track.path, times, problem.masses).torque
         largest = np.maximum(largest, np.abs(torque).max(axis=0))
     return largest
 
 
 def _gains(
-    problem: Fittings, solution: Solution, law: JointLaw, parts: Sequence[JointTerm]
+    problem: MotionProblem, solution: Solution, law: JointLaw, parts: Sequence[JointTerm]
 ) -> Callable[[Sequence[int]], float]:
     """Return what computes the chi-square that chosen ``parts`` remove from the residuals, beside the parameters of a
     fit."""
-    every = of_all_joints(law, problem.layout.parameters.joints)
-    plain = [term for term in every if term not in problem.layout.terms]
-    at, first = problem.layout.arm, problem.layout.arm + len(plain)
+    every = of_all_joints(law, problem.parameters.joints)
+    plain = [term for term in every if term not in problem.terms]
+    at, first = problem.arm, problem.arm + len(plain)
     # a subset of the points selects the part; the fit with it, and its evidence, use all points
-    extended = replace(problem.with_terms((*plain, *parts)), whitening=None)
+    extended = replace(problem.with_terms((*problem.terms, *plain, *parts)), whitening=None)
     sources = [_thinned(source, _MOST_POINTS // len(solution.sources)) for source in solution.sources]
     values = np.insert(solution.values, at, np.zeros(len(plain) + len(parts)))
     A, b = normal_equations(extended, values, sources)
@@ -768,5 +763,4 @@ def _gains(
 def _thinned(source: Source, most: int) -> Source:
     """Return a subset of the rows of a source, each with more weight."""
     each = max(len(source.rows) // max(most, 1), 1)
-    relative = None if source.relative is None else source.relative[::each]
-    return replace(source, rows=source.rows[::each], worth=source.worth * each, relative=relative)
+    return Source(source.rows[::each], source.sigma_m, source.relative[::each], source.worth * each)

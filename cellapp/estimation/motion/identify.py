@@ -21,9 +21,9 @@ from cellapp.estimation.calibration.parameters import (
     sigma_by_name,
 )
 from cellapp.estimation.calibration.records import ClockResult, ClockSegmentResult, RecordingResult
-from cellapp.estimation.motion.fit import GROSS, Fittings, Solution, allow_for_missing, solve, thinned
-from cellapp.estimation.motion.laws import JointLaw, JointTerm, Masses
-from cellapp.estimation.motion.residuals import Layout, Model, Stops, residuals
+from cellapp.estimation.motion.fit import GROSS, Solution, allow_for_missing, solve, thinned
+from cellapp.estimation.motion.laws import JointLaw, Masses, of_all_joints
+from cellapp.estimation.motion.residuals import MotionProblem, Stops, residuals
 from cellapp.estimation.motion.streams import Recording
 from cellapp.estimation.motion.tracks import Track, track_of
 from cellapp.ground.errors import InputError
@@ -47,9 +47,8 @@ class RecordingFit:
         Distances of held-out points from the model and from the nominal arm at its base with the same clock [mm].
     track : Track
         Path and points at the fitted clock, for later steps.
-    offsets_s : array, shape (S,)
-        Offsets of the segments, including the mean lag of the joints.
-    rate : float
+    clock_s : array, shape (S + 1,)
+        Offsets of the segments [s], including the mean lag of the joints, and the rate.
     """
 
     clock: ClockResult
@@ -57,8 +56,7 @@ class RecordingFit:
     heldout_mm: Array = field(repr=False)
     heldout_nominal_mm: Array = field(repr=False)
     track: Track = field(repr=False)
-    offsets_s: Array = field(repr=False)
-    rate: float
+    clock_s: Array = field(repr=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +133,7 @@ class RecordedArm:
     tool_unknown : bool
         Whether the estimate of the tool starts at zero.
     stops : Stops, optional
-        Readings at rest, fitted jointly; those in the mask ``held_out_stops`` (n,) are not used.
+        Readings at rest, fitted jointly.
     parameter_set, prior_sigma
         As of ``calibration.identification.identify``.
     bodies, up_M
@@ -147,7 +145,6 @@ class RecordedArm:
     recordings: Sequence[Recording]
     tool_unknown: bool
     stops: Stops | None = None
-    held_out_stops: NDArray[np.bool_] | None = None
     parameter_set: SetName = "auto"
     prior_sigma: Mapping[str, float] | None = None
     bodies: Bodies | None = None
@@ -171,7 +168,7 @@ def identify_from_motion(arm: RecordedArm, told: Told = ignore_words) -> MotionF
     return motion_fit(problem, allow_for_missing(problem, solution))
 
 
-def motion_problem(arm: RecordedArm, told: Told) -> Fittings:
+def motion_problem(arm: RecordedArm, told: Told) -> MotionProblem:
     """Set up the problem of ``identify_from_motion`` (raises the same); the start is the nominal chain at the base that
     best fits the points."""
     if not arm.recordings:
@@ -187,21 +184,14 @@ def motion_problem(arm: RecordedArm, told: Told) -> Fittings:
         masses = replace(masses, geometry=start)
     stated = arm.prior_sigma or {}
     parameters, priors = estimated_parameters(arm.parameter_set, start, stated)
-    terms = tuple(JointTerm(JointLaw.PLAY, joint) for joint in range(start.joints))
-    layout = Layout(parameters, terms, tuple(len(track.offsets_s) for track in tracks))
-    mean, precision = np.zeros(layout.size), np.zeros(layout.size)
-    mean[: layout.geometric] = start.vector()[list(parameters.columns)]
-    precision[: layout.geometric] = 1.0 / prior_sds(parameters, priors) ** 2
-    precision[layout.geometric : layout.arm] = [1.0 / term.prior_sd**2 for term in terms]
-    for number, track in enumerate(tracks):
-        mean[layout.offsets(number)] = track.offsets_s
-        precision[layout.offsets(number)] = 1.0 / _OFFSET_SD**2
-        precision[layout.rate(number)] = 1.0 / _RATE_SD**2
+    mean = np.concatenate(
+        [start.vector()[list(parameters.columns)], *(np.append(its.offsets_s, 0.0) for its in tracks)]
+    )
+    of_clocks = [np.append(np.full(len(its.offsets_s), _OFFSET_SD), _RATE_SD) for its in tracks]
+    precision = np.concatenate([prior_sds(parameters, priors), *of_clocks]) ** -2.0
     spreads = prior_spreads(parameters, set(priors) - set(stated))
-    stop_rows = np.arange(0 if arm.stops is None else len(arm.stops.q))
-    if arm.held_out_stops is not None:
-        stop_rows = np.flatnonzero(~arm.held_out_stops)
-    return Fittings(start, layout, tuple(tracks), arm.stops, mean, precision, spreads, stop_rows, masses)
+    bare = MotionProblem(start, parameters, (), tuple(tracks), arm.stops, mean, precision, spreads, masses)
+    return bare.with_terms(of_all_joints(JointLaw.PLAY, start.joints))
 
 
 def _some_points(tracks: Sequence[Track], stops: Stops | None) -> tuple[Array, Array]:
@@ -209,22 +199,20 @@ def _some_points(tracks: Sequence[Track], stops: Stops | None) -> tuple[Array, A
     parts = [] if stops is None else [(stops.q, stops.p_M)]
     for track in tracks:
         rows = thinned(np.flatnonzero(track.learnt), 1000 // len(tracks) + 10)
-        parts.append((track.path.at(track.controller_times(rows, track.offsets_s, 0.0))[0], track.p_M[rows]))
+        time_s = track.controller_times(rows, np.append(track.offsets_s, 0.0))
+        parts.append((track.path.at(time_s)[0], track.p_M[rows]))
     return np.concatenate([q for q, _ in parts]), np.concatenate([p for _, p in parts])
 
 
-def motion_fit(problem: Fittings, solution: Solution) -> MotionFit:
+def motion_fit(problem: MotionProblem, solution: Solution) -> MotionFit:
     """Build the result of a solution."""
-    model, noise, layout = problem.model(solution.values), solution.noise, problem.layout
-    found = {
-        track.name: _recording_fit(problem, solution, model, number) for number, track in enumerate(problem.tracks)
-    }
-    play, play_error = np.zeros(layout.parameters.joints), np.full(layout.parameters.joints, np.nan)
-    for number, term in enumerate(layout.terms, start=layout.geometric):
+    found = {track.name: _recording_fit(problem, solution, number) for number, track in enumerate(problem.tracks)}
+    play, play_error = np.zeros(problem.parameters.joints), np.full(problem.parameters.joints, np.nan)
+    for place, term in enumerate(problem.terms, start=problem.geometric):
         if term.law is JointLaw.PLAY and term.fading is None:
-            play[term.joint] = solution.values[number]
-            play_error[term.joint] = math.sqrt(noise.covariance[number, number])
-    identification = _identification(problem, solution, model)
+            play[term.joint] = solution.values[place]
+            play_error[term.joint] = math.sqrt(solution.noise.covariance[place, place])
+    identification = _identification(problem, solution)
     has_stops = problem.stops is not None and len(solution.sources[-1].rows)
     return MotionFit(
         identification=identification,
@@ -237,20 +225,17 @@ def motion_fit(problem: Fittings, solution: Solution) -> MotionFit:
     )
 
 
-def held_out_rms_mm(problem: Fittings, solution: Solution) -> float:
+def held_out_rms_mm(problem: MotionProblem, solution: Solution) -> float:
     """Return the rms distance of all held-out points from the model, without gross errors [mm]."""
-    model, squares, count = problem.model(solution.values), 0.0, 0
-    for number, track in enumerate(problem.tracks):
-        misses, good = _held_out(model, track, number, solution.sources[number].sigma_m)
-        squares += float(np.sum(misses[good] ** 2))
-        count += int(np.count_nonzero(good))
-    return 1e3 * math.sqrt(squares / count) if count else math.nan
+    parts = [_held_out(problem, solution, number) for number in range(len(problem.tracks))]
+    return 1e3 * rms(np.concatenate([misses[good] for misses, good in parts]))
 
 
-def _held_out(model: Model, track: Track, number: int, sigma_m: float) -> tuple[Array, NDArray[np.bool_]]:
+def _held_out(problem: MotionProblem, solution: Solution, number: int) -> tuple[Array, NDArray[np.bool_]]:
     """Return the distances of held-out points from the model [m], and a mask of those that are no gross errors."""
-    misses = np.linalg.norm(residuals(model, track, number, np.flatnonzero(track.held_out)), axis=1)
-    return misses, no_gross_errors(misses, sigma_m)
+    rows = np.flatnonzero(problem.tracks[number].held_out)
+    misses = np.linalg.norm(residuals(problem, solution.values, number, rows), axis=1)
+    return misses, no_gross_errors(misses, solution.sources[number].sigma_m)
 
 
 def no_gross_errors(misses: Array, sigma_m: float) -> NDArray[np.bool_]:
@@ -259,16 +244,16 @@ def no_gross_errors(misses: Array, sigma_m: float) -> NDArray[np.bool_]:
     return np.asarray(misses < GROSS * max(sigma_m, usual))
 
 
-def _recording_fit(problem: Fittings, solution: Solution, model: Model, number: int) -> RecordingFit:
+def _recording_fit(problem: MotionProblem, solution: Solution, number: int) -> RecordingFit:
     track, source = problem.tracks[number], solution.sources[number]
-    offsets, rate = model.clock(number)
-    rows = np.flatnonzero(track.held_out)
-    vector = problem.start.vector()
-    bare = problem.model(_with_arm(problem, solution.values, vector))
-    misses, good = _held_out(model, track, number, source.sigma_m)
+    clock_s = solution.values[problem.clock(number)]
+    misses, good = _held_out(problem, solution, number)
     heldout_mm = misses[good] * 1e3
-    nominal = np.linalg.norm(residuals(bare, track, number, rows), axis=1)
-    in_gaps = ~track.path.known(track.controller_times(np.arange(len(track.time_s)), offsets, rate))
+    published = solution.values.copy()  # with the same clocks
+    published[: problem.arm] = 0.0
+    published[: problem.geometric] = problem.start.vector()[list(problem.parameters.columns)]
+    nominal = np.linalg.norm(residuals(problem, published, number, np.flatnonzero(track.held_out)), axis=1)
+    in_gaps = ~track.path.known(track.controller_times(np.arange(len(track.time_s)), clock_s))
     result = RecordingResult(
         points=len(track.time_s),
         learnt=len(source.rows),
@@ -279,36 +264,26 @@ def _recording_fit(problem: Fittings, solution: Solution, model: Model, number: 
         scatter_mm=source.sigma_m * 1e3,
         heldout_rms_mm=rms(heldout_mm) if len(heldout_mm) else None,
     )
-    clock, lag_s = _clock_fit(problem, solution, number), _mean_lag(problem, solution)
-    return RecordingFit(clock, result, heldout_mm, nominal[good] * 1e3, track, offsets + lag_s, rate)
+    lags = solution.values[_lags(problem)]
+    clock_s[:-1] += np.mean(lags) if len(lags) else 0.0
+    clock = _clock_fit(problem, solution, number)
+    return RecordingFit(clock, result, heldout_mm, nominal[good] * 1e3, track, clock_s)
 
 
-def _with_arm(problem: Fittings, values: Array, vector: Array) -> Array:
-    """Return the values with the same clocks, the geometry of ``vector`` and no lost motion."""
-    values = values.copy()
-    values[: problem.layout.geometric] = vector[list(problem.layout.parameters.columns)]
-    values[problem.layout.geometric : problem.layout.arm] = 0.0
-    return values
+def _lags(problem: MotionProblem) -> list[int]:
+    """Return the indices of the lags of joints: their mean is indistinguishable from an offset of the clocks."""
+    return [place for place, term in enumerate(problem.terms, start=problem.geometric) if term.law is JointLaw.LAG]
 
 
-def _mean_lag(problem: Fittings, solution: Solution) -> float:
-    """Return the mean lag of the joints [s], which is indistinguishable from an offset of the clocks."""
-    of_terms = problem.model(solution.values).of_terms
-    lags = [
-        value for term, value in zip(problem.layout.terms, of_terms.tolist(), strict=True) if term.law is JointLaw.LAG
-    ]
-    return float(np.mean(lags)) if lags else 0.0
-
-
-def _clock_fit(problem: Fittings, solution: Solution, number: int) -> ClockResult:
+def _clock_fit(problem: MotionProblem, solution: Solution, number: int) -> ClockResult:
     """Return the clocks of one recording; their offset includes the inseparable mean lag of the joints."""
-    track, layout = problem.tracks[number], problem.layout
-    width, rate = solution.noise.half_width(), layout.rate(number)
-    lags = [place for place, term in enumerate(layout.terms, start=layout.geometric) if term.law is JointLaw.LAG]
+    track, lags = problem.tracks[number], _lags(problem)
+    *offsets, rate = problem.clock(number).tolist()
+    width = solution.noise.half_width()
 
     def stated(place: int, unit: float) -> tuple[float, float, tuple[float, float]]:
         """Return value, standard error and interval."""
-        share = np.zeros(layout.size)
+        share = np.zeros(len(problem.mean))
         share[place] = unit
         if place != rate:
             share[lags] = unit / max(len(lags), 1)
@@ -317,10 +292,9 @@ def _clock_fit(problem: Fittings, solution: Solution, number: int) -> ClockResul
         return value, error, (value - half, value + half)
 
     segments: list[tuple[tuple[float, float, tuple[float, float]], float, float]] = []
-    for segment in range(layout.segments[number]):
+    for segment, place in enumerate(offsets):
         times = track.time_s[track.segment == segment]
-        value = stated(layout.offsets(number).start + segment, 1.0)
-        segments.append((value, float(times[0]), float(times[-1])))
+        segments.append((stated(place, 1.0), float(times[0]), float(times[-1])))
     rate_ppm, rate_error, rate_interval = stated(rate, 1e6)
     # the first segment between steps with training points
     (offset_s, error_s, interval_s), *_ = segments[int(track.segment[track.learnt][0])]
@@ -342,11 +316,10 @@ def _clock_fit(problem: Fittings, solution: Solution, number: int) -> ClockResul
     )
 
 
-def _identification(problem: Fittings, solution: Solution, model: Model) -> Identification:
+def _identification(problem: MotionProblem, solution: Solution) -> Identification:
     """Return the arm's part of the solution as an identification."""
-    layout, noise, stops = problem.layout, solution.noise, problem.stops
-    estimated, size, arm = layout.parameters, layout.geometric, layout.arm
-    covariance = noise.covariance[:size, :size]
+    estimated, size, stops = problem.parameters, problem.geometric, problem.stops
+    covariance = solution.noise.covariance[:size, :size]
     information = _of_arm(solution.information, size)
     chosen = estimated
     if estimated.name == "auto":
@@ -355,11 +328,11 @@ def _identification(problem: Fittings, solution: Solution, model: Model) -> Iden
     in_table = covariance if chosen is estimated else to_table @ covariance @ to_table.T
     at_stops = np.zeros((0, 3))
     if stops is not None:
-        at_stops = residuals(model, stops, len(problem.tracks), np.arange(len(stops.q)))
+        at_stops = residuals(problem, solution.values, len(problem.tracks), np.arange(len(stops.q)))
     gram = information[kept[:, None], kept]
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     return Identification(
-        geometry=model.geometry,
+        geometry=problem.geometry(solution.values),
         estimated=estimated,
         estimated_covariance=covariance,
         prior_sigma=sigma_by_name(estimated.names, solution.precision[:size]),
@@ -373,7 +346,7 @@ def _identification(problem: Fittings, solution: Solution, model: Model) -> Iden
         converged=True,  # else ``solve`` refused it
         message="converged",
         scale=float(np.median([source.sigma_m for source in solution.sources])),
-        degrees_of_freedom=max(1, round(3 * sum(s.worth * len(s.rows) for s in solution.sources) - arm)),
+        degrees_of_freedom=max(1, round(3 * sum(s.worth * len(s.rows) for s in solution.sources) - problem.arm)),
         residuals=at_stops,
         weights=np.ones(len(at_stops)),
         steps=solution.steps,
@@ -390,7 +363,7 @@ def _of_arm(information: Array, size: int) -> Array:
 
 
 def _undetermined(
-    problem: Fittings, identification: Identification, found: Mapping[str, RecordingFit]
+    problem: MotionProblem, identification: Identification, found: Mapping[str, RecordingFit]
 ) -> tuple[str, ...]:
     """Describe in sentences what the data cannot determine."""
     said = []

@@ -696,11 +696,11 @@ class Masses:
         return np.asarray(np.einsum("iknx,jknx,kn->nij", moved, moved, loads.masses) + _OWN_INERTIA * np.eye(joints))
 
 
-def state_in_motion(path: TimedPath, time_s: Array, masses: Masses | None, *, torques: bool) -> JointState:
-    """Return the state of the joints at times (n,) of the controller [s]."""
+def state_in_motion(path: TimedPath, time_s: Array, masses: Masses | None) -> JointState:
+    """Return the state of the joints at times (n,) of the controller [s]; torques are zero without masses."""
     q, qd = path.at(time_s)
     torque = np.zeros_like(q)
-    if torques and masses is not None:
+    if masses is not None:
         even = path.even
         on_grid = even.kept((torques_in_motion, masses), partial(_in_chunks, path, even.inside_s, masses))
         torque = rows_at(time_s, even.time_s, on_grid)
@@ -749,18 +749,17 @@ class JointLaws:
     def joints_at_rest(self, path: TimedPath, time_s: Array) -> Array:
         """Return the joint positions (n, N) [rad] at which an arm at rest has the points of these times (n,) [s]:
         without the laws of motion only."""
-        state = state_in_motion(path, time_s, None, torques=False)
+        state = state_in_motion(path, time_s, None)
         return state.q + state.offsets(*_apart(self.moving))
 
     def joints_with_history(self, path: TimedPath, time_s: Array) -> Array:
         """Return ``joints_at_rest`` plus the part of the laws at rest that motion adds: lost motion from earlier
         reversals, and the torque of accelerations. At rest, only the last motion of each joint is known."""
         terms, values = _apart(self.at_rest)
-        torques = any(term.needs_torques for term in terms)
-        q = self.joints_at_rest(path, time_s)
-        moves = state_in_motion(path, time_s, self.masses, torques=torques)
+        masses = self.masses if any(term.needs_torques for term in terms) else None
+        q, moves = self.joints_at_rest(path, time_s), state_in_motion(path, time_s, masses)
         side, travel = np.sign(np.rint(moves.direction)), path.travel_at(time_s, moves.q)
-        rests = state_at_rest(q, side, self.masses if torques else None, travel)
+        rests = state_at_rest(q, side, masses, travel)
         return q + moves.offsets(terms, values) - rests.offsets(terms, values)
 
 

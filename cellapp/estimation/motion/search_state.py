@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from cellapp.estimation.calibration.parameters import ParameterSet
 from cellapp.estimation.discovery.arm_data import whitening
 from cellapp.estimation.discovery.records import BeforeAfter, Evidence
-from cellapp.estimation.motion.fit import Fittings, Solution
+from cellapp.estimation.motion.fit import Solution
 from cellapp.estimation.motion.laws import JointLaw, JointState, JointTerm
-from cellapp.estimation.motion.residuals import residuals
+from cellapp.estimation.motion.residuals import MotionProblem, residuals
 from cellapp.estimation.motion.tracks import Track
 from cellapp.robot.effects import EFFECTS, EffectTerm, MotionLaw
 from cellapp.robot.effects.backlash import BELL, LOAD_BELL, LOAD_REACH, REACH
@@ -125,7 +125,7 @@ class SearchStep:
 class State:
     """Problem with the present terms, its solution, and the held-out error."""
 
-    problem: Fittings
+    problem: MotionProblem
     solution: Solution
     heldout_mm: float
 
@@ -170,18 +170,9 @@ def _with_values(state: State, terms: Sequence[JointTerm]) -> list[tuple[JointTe
     """Return the terms of one law with their values."""
     if not terms:
         return []
-    laws = [term for term in state.problem.layout.terms if term.law is terms[0].law]
+    laws = [term for term in state.problem.terms if term.law is terms[0].law]
     values = dict(zip(laws, values_of(state, laws)[0].tolist(), strict=True))  # lags relative to the mean of all
     return [(term, values[term]) for term in terms]
-
-
-def started(state: State, terms: Sequence[JointTerm]) -> Array:
-    """Return the values, with shaped terms set to their shape."""
-    values, first = state.solution.values.copy(), state.problem.layout.geometric
-    for place, term in enumerate(terms, start=first):
-        if term.shape:
-            values[place] = term.start
-    return values
 
 
 def shown(state: State, law: JointLaw | MotionLaw, steps: Sequence[SearchStep]) -> tuple[JointTerm, ...]:
@@ -208,8 +199,7 @@ def shown(state: State, law: JointLaw | MotionLaw, steps: Sequence[SearchStep]) 
 
 
 def places_of(state: State, terms: Sequence[JointTerm]) -> list[int]:
-    layout = state.problem.layout
-    return [layout.geometric + layout.terms.index(term) for term in terms]
+    return [state.problem.geometric + state.problem.terms.index(term) for term in terms]
 
 
 def values_of(state: State, terms: Sequence[JointTerm]) -> tuple[Array, Array]:
@@ -395,11 +385,11 @@ def settled(terms: Sequence[JointTerm], before: Sequence[JointTerm]) -> bool:
 
 
 def strongest_vibration(
-    problem: Fittings, solution: Solution, taken: Sequence[int]
+    problem: MotionProblem, solution: Solution, taken: Sequence[int]
 ) -> tuple[float, tuple[JointTerm, ...]]:
     """Find the vibration that is least likely to be chance, of a joint that is not ``taken``; return half of its
     chi-square, and its terms."""
-    free = sorted(set(range(problem.layout.parameters.joints)) - set(taken))
+    free = sorted(set(range(problem.parameters.joints)) - set(taken))
     product, square = _matched(problem, solution, free)
     product, square = np.maximum(product, 0.0), np.maximum(square, 1e-300)  # springs yield to a load, never against it
     power = 0.5 * product**2 / square
@@ -408,12 +398,12 @@ def strongest_vibration(
     return float(power[joint, place]), vibration(int(joint), (gain, float(FREQUENCIES[place]), _DAMPING))
 
 
-def _matched(problem: Fittings, solution: Solution, free: Sequence[int]) -> tuple[Array, Array]:
+def _matched(problem: MotionProblem, solution: Solution, free: Sequence[int]) -> tuple[Array, Array]:
     """Return the products of residuals and unit responses by joint and frequency (N, F), and of the responses with
     themselves, in units of the noise; zero for joints that are not ``free``."""
     from scipy.signal import freqz  # it loads scipy.stats: not for commands without recordings
 
-    product, square = np.zeros((2, problem.layout.parameters.joints, len(FREQUENCIES)))
+    product, square = np.zeros((2, problem.parameters.joints, len(FREQUENCIES)))
     for track, white, u, scale, angular, weight in white_residuals(problem, solution, twice=True):
         _, gain = freqz(white, 1.0, 2.0 * math.pi * FREQUENCIES * track.stamps.period_s)
         even = track.path.even
@@ -426,21 +416,21 @@ def _matched(problem: Fittings, solution: Solution, free: Sequence[int]) -> tupl
 
 
 def white_residuals(
-    problem: Fittings, solution: Solution, *, twice: bool = False
+    problem: MotionProblem, solution: Solution, *, twice: bool = False
 ) -> Iterator[tuple[Track, Array, Array, float, Array, Array]]:
     """Yield each recording, its whitening filter, times (n,) of its points, the inverse of the variance of its filtered
     residuals, and ``_rotated`` of these; ``twice``: filtered once more, backwards, as if columns passed the filter."""
     from scipy.signal import lfilter  # as in ``_matched``
 
-    model = problem.model(solution.values)
+    values, geometry = solution.values, problem.geometry(solution.values)
     for number, (track, source) in enumerate(zip(problem.tracks, solution.sources)):
         white = np.ones(1) if problem.whitening is None else problem.whitening[number]
-        filtered = lfilter(white, [1.0], residuals(model, track, number, source.rows), axis=0)
+        filtered = lfilter(white, [1.0], residuals(problem, values, number, source.rows), axis=0)
         scale = 1.0 / max(float(np.mean(filtered**2)), 1e-300)
         if twice:
             filtered = lfilter(white, [1.0], filtered[::-1], axis=0)[::-1]
-        u = track.controller_times(source.rows, *model.clock(number))
-        yield track, white, u, scale, *_rotated(model.geometry, track.path.at(u)[0], filtered)
+        u = track.controller_times(source.rows, values[problem.clock(number)])
+        yield track, white, u, scale, *_rotated(geometry, track.path.at(u)[0], filtered)
 
 
 def _rotated(geometry: Geometry, q: Array, residuals: Array) -> tuple[Array, Array]:

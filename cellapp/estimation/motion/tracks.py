@@ -258,10 +258,16 @@ class Track:
     held_out: NDArray[np.bool_] = field(repr=False)
     start: ClockStart = field(repr=False)
 
-    def controller_times(self, rows: NDArray[np.intp], offsets_s: Array, rate: float) -> Array:
-        """Return the times of some points by the controller's clock [s]."""
+    @property
+    def learnt_s(self) -> float:
+        """Time of the training points [s]."""
+        return float(np.count_nonzero(self.learnt) * self.stamps.period_s)
+
+    def controller_times(self, rows: NDArray[np.intp], clock: Array) -> Array:
+        """Return the times of some points by the controller's clock [s]; ``clock`` (S + 1,) are the offsets of the
+        segments [s], and the rate."""
         t = self.time_s[rows]
-        return np.asarray(t - offsets_s[self.segment[rows]] - rate * (t - self.middle_s))
+        return np.asarray(t - clock[self.segment[rows]] - clock[-1] * (t - self.middle_s))
 
 
 def track_of(recording: Recording, nominal: Geometry, *, tool_unknown: bool, seed: int) -> Track:

@@ -124,7 +124,7 @@ def test_two_cycles_beside_much_more_of_one_are_of_the_same_disc():
         SearchStep(law, its, 100.0, -50.0, 1.0, 1.0)
         for law, its in ((JointLaw.LINE, lines), (JointLaw.ONE_CYCLE, one_cycle))
     ]
-    problem = problem.without_terms().with_terms((*lines, *one_cycle))
+    problem = problem.with_terms((*lines, *one_cycle))
     (gear, of_gear), (disc, of_disc) = effects_of(State(problem, solve(problem), 1.0), steps)
     assert (gear.slug, gear.joints, gear.form) == ("transmission_error", (2,), "lines")
     assert of_gear == lines[2:]
@@ -324,7 +324,7 @@ def test_accelerations_are_those_of_the_path():
     q = np.stack([0.5 * np.sin(2.0 * t), 0.2 * np.cos(3.0 * t)], axis=1)
     path = joint_path(JointStream(time_s=t, q=q))
     inside = np.linspace(0.5, 3.5, 40)
-    found = state_in_motion(path, inside, None, torques=False).quantity("qdd")
+    found = state_in_motion(path, inside, None).quantity("qdd")
     assert found == pytest.approx(
         np.stack([-2.0 * np.sin(2.0 * inside), -1.8 * np.cos(3.0 * inside)], axis=1), abs=0.02
     )

@@ -249,11 +249,11 @@ def test_from_values_that_are_far_off_no_recording_fits_worse_than_there_and_too
     )
     near = solve(problem)
     far = near.values.copy()
-    base = [problem.layout.parameters.names.index(name) for name in ("x0", "y0", "z0", "alpha0", "beta0", "theta0")]
+    base = [problem.parameters.names.index(name) for name in ("x0", "y0", "z0", "alpha0", "beta0", "theta0")]
     far[base] += [0.3, -0.2, 0.2, 0.6, -0.5, 0.6]
 
     def square(values):
-        return float(np.sum(residuals(problem.model(values), problem.tracks[0], 0, near.sources[0].rows) ** 2))
+        return float(np.sum(residuals(problem, values, 0, near.sources[0].rows) ** 2))
 
     values = solve(problem, far).values
     assert square(values) <= square(far)
