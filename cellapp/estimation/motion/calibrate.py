@@ -45,9 +45,7 @@ from cellapp.estimation.discovery.records import (
     BeforeAfter,
     GapStep,
     HeldOutBeforeAfter,
-    LawRecord,
     MotionDiscoveryResult,
-    MotionEffectResult,
     Place,
 )
 from cellapp.estimation.motion.effects import MotionDiscovery, effects_in_motion
@@ -59,7 +57,7 @@ from cellapp.estimation.motion.identify import (
     identify_from_motion,
     no_gross_errors,
 )
-from cellapp.estimation.motion.laws import JointLaw, TimedPath
+from cellapp.estimation.motion.laws import TimedPath
 from cellapp.estimation.motion.residuals import Stops
 from cellapp.estimation.motion.search_state import MotionEffect
 from cellapp.estimation.motion.streams import Recording
@@ -426,11 +424,6 @@ class MotionAtRest:
         """Held-out stops and samples."""
         return HeldOut.of(self.readings, self.conditions)
 
-    @property
-    def effects(self) -> tuple[MotionEffect, ...]:
-        """Effects that serve poses at rest."""
-        return tuple(effect for effect in self.motion.effects if effect.at_rest)
-
     def stands_beside(self, searched: Callable[[], ArmModel]) -> bool:
         """Return whether the model at rest with effects beats the calibrated and the searched model on held-out
         readings.
@@ -448,7 +441,7 @@ class MotionAtRest:
     def result(self, seconds: float, *, used: bool) -> MotionDiscoveryResult:
         """Return the effects from the recordings, as stored in results."""
         return MotionDiscoveryResult(
-            effects=tuple(_result(effect) for effect in self.motion.effects),
+            effects=tuple(effect.found for effect in self.motion.effects),
             heldout_mm=BeforeAfter(before=self.motion.heldout_before_mm, after=self.motion.heldout_after_mm),
             used=used,
             seconds=seconds,
@@ -473,12 +466,12 @@ class MotionAtRest:
             held_out.position_mm(one)
             for held_out, one in ((self.held_out_of_others, self.calibrated), (self.held_out, self.model))
         )
-        its, names = f"arm {self.name}: ", _titles(self.effects)
+        its, names = f"arm {self.name}: ", _titles(self.motion.terms)
         steps = [GapStep(what="calibrated geometry", effect="", heldout_mm=before.rms)]
         steps.append(GapStep(what="effects that recordings show", effect="", heldout_mm=by_motion.rms))
         changed = result.model_copy(
             update={
-                "accepted": (*result.accepted, *(_accepted(effect) for effect in self.effects)),
+                "accepted": (*result.accepted, *map(_accepted, self.motion.at_rest)),
                 "motion": self.result(seconds, used=True),
                 "heldout_mm": BeforeAfter(before=before.rms, after=before.rms),
                 "heldout_position_mm": HeldOutBeforeAfter(before=before, after=before),
@@ -498,7 +491,7 @@ class MotionAtRest:
         )
 
 
-def _titles(named: Sequence[MotionEffect | EffectTerm]) -> str:
+def _titles(named: Sequence[EffectTerm]) -> str:
     return " and ".join(EFFECTS[one.slug].title for one in named)
 
 
@@ -535,12 +528,9 @@ def _joined_models(rest: ArmModel, by_motion: ArmModel) -> ArmModel:
 
 def _accepted(effect: MotionEffect) -> AcceptedEffect:
     """Convert an effect from recordings to an accepted effect of the discovery."""
-    return accepted_effect(
-        effect.term(),
-        Place(joints=effect.joints, acts_on=tuple(f"joint {joint}" for joint in effect.joints)),
-        effect.evidence,
-        effect.posterior,
-    )
+    joints = effect.found.joints
+    where = Place(joints=joints, acts_on=tuple(f"joint {joint}" for joint in joints))
+    return accepted_effect(effect.term(), where, effect.found.evidence, effect.posterior)
 
 
 def _with_stops(
@@ -566,18 +556,4 @@ def _model(calibrated: ArmModel, motion: MotionDiscovery) -> ArmModel:
         identified=(*identification.estimated.names, *(name for term in motion.terms for name in term.names)),
         covariance=motion.covariance,
         posterior=None,
-    )
-
-
-def _result(effect: MotionEffect) -> MotionEffectResult:
-    errors = effect.standard_errors.tolist()
-    return MotionEffectResult(
-        effect=effect.slug,
-        title=EFFECTS[effect.slug].title if effect.slug in EFFECTS else JointLaw(effect.slug).title,
-        joints=effect.joints,
-        parameters=Estimate.by_name(effect.names, effect.values.tolist(), errors, effect.units),
-        evidence=effect.evidence,
-        only_motion=effect.only_motion or None,
-        at_rest=effect.at_rest,
-        law=LawRecord(name=effect.form, constants=effect.constants) if effect.at_rest else None,
     )
