@@ -279,8 +279,9 @@ def track_of(recording: Recording, nominal: Geometry, *, tool_unknown: bool, see
         If it is at rest, the clocks do not overlap, the points do not belong to these joints, or too few are left.
     """
     where = f"recording '{recording.name}' of arm '{recording.arm}'"
-    if recording.joints.joints != nominal.joints:
-        raise InputError(f"{where}: {recording.joints.joints} joints, but the arm has {nominal.joints}")
+    joints = recording.joints.q.shape[1]
+    if joints != nominal.joints:
+        raise InputError(f"{where}: {joints} joints, but the arm has {nominal.joints}")
     try:
         path, stamps = joint_path(recording.joints), read_stamps(recording.points.time_s, recording.points.p_M)
     except ValueError as error:

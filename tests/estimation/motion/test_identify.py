@@ -60,7 +60,7 @@ def test_stamps_that_jitter_about_a_regular_clock_are_replaced_by_it(case):
     arm, motion, _ = case
     rng = np.random.default_rng(8)
     recording = record(rng, arm, motion, with_speeds=False)
-    time = np.maximum.accumulate(recording.joints.time_s + rng.uniform(0.0, 6e-3, len(recording.joints)))
+    time = np.maximum.accumulate(recording.joints.time_s + rng.uniform(0.0, 6e-3, len(recording.joints.time_s)))
     fit = fit_of(replace(recording, joints=JointStream(time_s=time, q=recording.joints.q)))
     clock = fit.clocks["sweep"]
     assert clock.offset_s == pytest.approx(0.0178 - 3e-3, abs=3e-4)  # stamps are 3 ms late in the mean
@@ -139,7 +139,7 @@ def test_stops_and_recordings_in_one_fit(case):
 
 def test_blocks_that_the_file_holds_out_are_kept_apart(case):
     recording = case[2]
-    held_out = np.zeros(len(recording.points), dtype=bool)
+    held_out = np.zeros(len(recording.points.time_s), dtype=bool)
     held_out[3000:5000] = True
     spoilt = recording.points.p_M.copy()
     spoilt[3000:5000] += 2e-3
@@ -168,9 +168,11 @@ def test_recordings_that_tell_nothing_are_refused(case):
     points, joints = recording.points, recording.joints
     cases = {
         "joints are at rest": replace(
-            recording, joints=replace(joints, q=np.tile(joints.q[0], (len(joints), 1)), qd=None)
+            recording, joints=replace(joints, q=np.tile(joints.q[0], (len(joints.q), 1)), qd=None)
         ),
-        "points are at rest": replace(recording, points=replace(points, p_M=np.tile(points.p_M[0], (len(points), 1)))),
+        "points are at rest": replace(
+            recording, points=replace(points, p_M=np.tile(points.p_M[0], (len(points.p_M), 1)))
+        ),
         "wherever its base is": replace(recording, points=replace(points, p_M=points.p_M * 1e3)),
     }
     for words, bad in cases.items():
