@@ -118,6 +118,18 @@ class Source:
         return np.asarray(np.sqrt(self.worth) / self.sigma_m / self.relative)
 
 
+def with_lags_in_clocks(problem: MotionProblem, solution: Solution) -> tuple[Array, Array]:
+    """Return values and covariance with the mean of the joints' lags counted to the offsets of the clocks: only their
+    sum is known."""
+    lags = [place for place, term in enumerate(problem.terms, problem.geometric) if term.law is JointLaw.LAG]
+    apart = np.eye(len(solution.values))
+    if lags:
+        offsets = np.concatenate([problem.clock(number)[:-1] for number in range(len(problem.tracks))])
+        apart[np.ix_(lags, lags)] -= 1.0 / len(lags)
+        apart[np.ix_(offsets, lags)] += 1.0 / len(lags)
+    return apart @ solution.values, apart @ solution.noise.covariance @ apart.T
+
+
 def thinned(rows: NDArray[np.intp], count: int) -> NDArray[np.intp]:
     """Return at most ``count`` of the rows, evenly spread."""
     if len(rows) <= count:

@@ -21,7 +21,7 @@ from cellapp.estimation.calibration.parameters import (
     sigma_by_name,
 )
 from cellapp.estimation.calibration.records import ClockResult, ClockSegmentResult, RecordingResult
-from cellapp.estimation.motion.fit import GROSS, Solution, allow_for_missing, solve, thinned
+from cellapp.estimation.motion.fit import GROSS, Solution, allow_for_missing, solve, thinned, with_lags_in_clocks
 from cellapp.estimation.motion.laws import JointLaw, Masses, of_all_joints
 from cellapp.estimation.motion.residuals import MotionProblem, Stops, residuals
 from cellapp.estimation.motion.streams import Recording
@@ -92,11 +92,6 @@ class MotionFit:
         """Clocks by recording."""
         return {name: one.clock for name, one in self.recordings.items()}
 
-    @property
-    def heldout_rms_mm(self) -> float:
-        """Rms distance of all held-out points from the model [mm]."""
-        return rms(np.concatenate([one.heldout_mm for one in self.recordings.values()]))
-
 
 def rms(values: Array) -> float:
     """Return the root mean square; NaN without values."""
@@ -116,8 +111,6 @@ _FEW_DETERMINED = 2.0 / 3.0
 """Share of determined geometric parameters below which motions excite the arm little; good ones leave a fifth open."""
 _BAD = 5.0
 """Ratio of a recording's scatter to that of the median recording at which it is reported as bad."""
-_RATE_UNKNOWN_PPM = 20.0
-"""Standard error of a rate above which it is as uncertain as clocks themselves."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,71 +239,51 @@ def no_gross_errors(misses: Array, sigma_m: float) -> NDArray[np.bool_]:
 
 def _recording_fit(problem: MotionProblem, solution: Solution, number: int) -> RecordingFit:
     track, source = problem.tracks[number], solution.sources[number]
-    clock_s = solution.values[problem.clock(number)]
     misses, good = _held_out(problem, solution, number)
     heldout_mm = misses[good] * 1e3
     published = solution.values.copy()  # with the same clocks
     published[: problem.arm] = 0.0
     published[: problem.geometric] = problem.start.vector()[list(problem.parameters.columns)]
     nominal = np.linalg.norm(residuals(problem, published, number, np.flatnonzero(track.held_out)), axis=1)
-    in_gaps = ~track.path.known(track.controller_times(np.arange(len(track.time_s)), clock_s))
+    time_s = track.controller_times(np.arange(len(track.time_s)), solution.values[problem.clock(number)])
     result = RecordingResult(
         points=len(track.time_s),
         learnt=len(source.rows),
         held_out=len(heldout_mm),
         gross=int(track.learnt.sum()) - len(source.rows) + int(np.count_nonzero(~good)),
-        in_gaps=int(np.count_nonzero(in_gaps)),
+        in_gaps=int(np.count_nonzero(~track.path.known(time_s))),
         effective_points=min(1.0, source.worth) * len(source.rows),
         scatter_mm=source.sigma_m * 1e3,
         heldout_rms_mm=rms(heldout_mm) if len(heldout_mm) else None,
     )
-    lags = solution.values[_lags(problem)]
-    clock_s[:-1] += np.mean(lags) if len(lags) else 0.0
-    clock = _clock_fit(problem, solution, number)
+    values, covariance = with_lags_in_clocks(problem, solution)
+    clock_s = values[problem.clock(number)]
+    errors = np.sqrt(np.diag(covariance)[problem.clock(number)])
+    clock = _clock_fit(track, clock_s, errors, errors * solution.noise.half_width()[problem.clock(number)])
     return RecordingFit(clock, result, heldout_mm, nominal[good] * 1e3, track, clock_s)
 
 
-def _lags(problem: MotionProblem) -> list[int]:
-    """Return the indices of the lags of joints: their mean is indistinguishable from an offset of the clocks."""
-    return [place for place, term in enumerate(problem.terms, start=problem.geometric) if term.law is JointLaw.LAG]
-
-
-def _clock_fit(problem: MotionProblem, solution: Solution, number: int) -> ClockResult:
-    """Return the clocks of one recording; their offset includes the inseparable mean lag of the joints."""
-    track, lags = problem.tracks[number], _lags(problem)
-    *offsets, rate = problem.clock(number).tolist()
-    width = solution.noise.half_width()
-
-    def stated(place: int, unit: float) -> tuple[float, float, tuple[float, float]]:
-        """Return value, standard error and interval."""
-        share = np.zeros(len(problem.mean))
-        share[place] = unit
-        if place != rate:
-            share[lags] = unit / max(len(lags), 1)
-        value, error = float(share @ solution.values), math.sqrt(float(share @ solution.noise.covariance @ share))
-        half = float(width[place]) * error
-        return value, error, (value - half, value + half)
-
-    segments: list[tuple[tuple[float, float, tuple[float, float]], float, float]] = []
-    for segment, place in enumerate(offsets):
-        times = track.time_s[track.segment == segment]
-        segments.append((stated(place, 1.0), float(times[0]), float(times[-1])))
-    rate_ppm, rate_error, rate_interval = stated(rate, 1e6)
-    # the first segment between steps with training points
-    (offset_s, error_s, interval_s), *_ = segments[int(track.segment[track.learnt][0])]
+def _clock_fit(track: Track, clock_s: Array, errors: Array, half: Array) -> ClockResult:
+    """Return the clocks of one recording by their values, standard errors and half widths of intervals (S + 1,)."""
+    first = int(track.segment[track.learnt][0])  # between steps with training points
+    (offset_s, rate), (error_s, rate_error), (half_s, half_rate) = (
+        (float(one[first]), 1e6 * float(one[-1])) for one in (clock_s, errors, half)
+    )
+    times = [track.time_s[track.segment == segment][[0, -1]].tolist() for segment in range(len(clock_s) - 1)]
     return ClockResult(
         offset_s=offset_s,
         offset_standard_error_s=error_s,
-        offset_interval_s=interval_s,
-        rate_ppm=rate_ppm,
+        offset_interval_s=(offset_s - half_s, offset_s + half_s),
+        rate_ppm=rate,
         rate_standard_error_ppm=rate_error,
-        rate_interval_ppm=rate_interval,
+        rate_interval_ppm=(rate - half_rate, rate + half_rate),
         at_s=track.middle_s,
         steps_of_joints=tuple((step.at_s, step.step_s) for step in track.path.stamps.steps),
         steps_of_points=tuple((step.at_s, step.step_s) for step in track.stamps.steps),
         segments=tuple(
             ClockSegmentResult(offset_s=value, offset_standard_error_s=error, first_s=begin, last_s=end)
-            for (value, error, _), begin, end in (segments if len(segments) > 1 else ())
+            for value, error, (begin, end) in zip(clock_s[:-1].tolist(), errors[:-1].tolist(), times, strict=True)
+            if len(times) > 1
         ),
         correlation=track.start.correlation,
     )
@@ -365,64 +338,42 @@ def _of_arm(information: Array, size: int) -> Array:
 def _undetermined(
     problem: MotionProblem, identification: Identification, found: Mapping[str, RecordingFit]
 ) -> tuple[str, ...]:
-    """Describe in sentences what the data cannot determine."""
+    """Describe in sentences what the data cannot determine; the merged parameters are listed with all others."""
     said = []
-    positions = np.concatenate([track.path.at(track.path.stamps.time_s)[0] for track in problem.tracks])
-    if problem.stops is not None:
-        positions = np.concatenate([positions, problem.stops.q])
-    for joint, swing in enumerate(np.ptp(positions, axis=0).tolist()):
-        if swing < _STILL_RAD:
-            said.append(
-                f"joint {joint + 1} moved by {math.degrees(swing):.2f} deg only: neither its axis nor its errors show"
-            )
+    far_mm = [float(np.median(one.heldout_nominal_mm)) for one in found.values() if one.result.held_out]
+    if far_mm and np.median(far_mm) > _FAR_MM:
+        said.append(
+            f"whether it is an arm of this type: the published one lies {np.median(far_mm):.0f} mm from the points"
+            " wherever its base is, where some mm are usual; of another arm, all that was found holds near these"
+            " motions only"
+        )
     determined, of = len(identification.names), len(identification.estimated.names)
     if determined < _FEW_DETERMINED * of:
-        said.insert(
-            0,
+        said.append(
             f"these motions determine {determined} of {of} parameters of the geometry: predictions hold near them only;"
-            " record motions of all joints, each alone and together, through a larger part of their range",
+            " record motions of all joints, each alone and together, through a larger part of their range"
         )
-    far = [float(np.median(one.heldout_nominal_mm)) for one in found.values() if one.result.held_out]
-    if far and (far_mm := float(np.median(far))) > _FAR_MM:
-        said.insert(
-            0,
-            f"whether it is an arm of this type: the published one lies {far_mm:.0f} mm from the points wherever"
-            " its base is, where some mm are usual; of another arm, all that was found holds near these motions only",
-        )
-    merged = identification.parameter_set.merged
-    for name, into in merged.items():
-        partners = ", ".join(sorted(into, key=lambda one: -abs(into[one]))[:4])
-        said.append(f"{name}: {'acts like ' + partners if partners else 'has no effect'} on these data")
-    for name, one in found.items():
-        others = one.track.start.others_s
-        if others:
-            said.append(
-                f"recording '{name}': the motion repeats, and delays of"
-                f" {', '.join(f'{other:.2f}' for other in others)} s would fit as well; the one with the longest"
-                " overlap was taken: begin recordings with a motion that does not come again"
-            )
-    return (*said, *_unsteady_rates(found), *_bad_recordings(found))
-
-
-def _unsteady_rates(found: Mapping[str, RecordingFit]) -> list[str]:
-    """Return a sentence on the recordings that do not determine the rate of their clocks; empty if there are none."""
-    errors = {name: one.clock.rate_standard_error_ppm for name, one in found.items()}
-    errors = {name: error for name, error in errors.items() if error > _RATE_UNKNOWN_PPM}
-    if not errors:
-        return []
-    best, worst = f"{min(errors.values()):.0f}", f"{max(errors.values()):.0f}"
-    known = f"the rate between the clocks is known to {best if best == worst else f'{best} to {worst}'} ppm only"
-    names = ", ".join(f"'{name}'" for name in errors)
-    return [f"{'recording' if len(errors) == 1 else 'recordings'} {names}: {known}; record longer"]
-
-
-def _bad_recordings(found: Mapping[str, RecordingFit]) -> list[str]:
-    """Return sentences on the recordings that disagree with the arm fitted to all others."""
+    positions = [track.path.at(track.path.stamps.time_s)[0] for track in problem.tracks]
+    positions += [] if problem.stops is None else [problem.stops.q]
+    swings = np.ptp(np.concatenate(positions), axis=0).tolist()
+    said += [
+        f"joint {joint} moved by {math.degrees(swing):.2f} deg only: neither its axis nor its errors show"
+        for joint, swing in enumerate(swings, start=1)
+        if swing < _STILL_RAD
+    ]
+    said += [
+        f"recording '{name}': the motion repeats, and delays of {', '.join(f'{other:.2f}' for other in others)} s would"
+        " fit as well; the one with the longest overlap was taken: begin recordings with a motion that does not come"
+        " again"
+        for name, one in found.items()
+        if (others := one.track.start.others_s)
+    ]
     usual = float(np.median([one.result.scatter_mm for one in found.values()]))
-    return [
+    said += [
         f"recording '{name}': its points lie {one.result.scatter_mm:.2f} mm from the arm on which the other recordings"
         f" agree to {usual:.2f} mm, so that it counts little and its clock is known badly; look for an SMR that"
         " was loose or another one, an arm that slipped, a tracker that was moved"
         for name, one in found.items()
         if len(found) > 2 and one.result.scatter_mm > _BAD * usual
     ]
+    return tuple(said)

@@ -158,10 +158,7 @@ class TimedPath:
 
     def direction_at(self, time_s: Array) -> Array:
         """Return the side of the lost motion of each joint at times (n,) [s], (n, N), -1 to 1; 0 before any motion."""
-        t = self.stamps.time_s
-        place = np.clip(np.searchsorted(t, time_s), 1, len(t) - 1)
-        share = np.clip((time_s - t[place - 1]) / (t[place] - t[place - 1]), 0.0, 1.0)[:, None]
-        return np.asarray(self.direction[place - 1] * (1.0 - share) + self.direction[place] * share)
+        return rows_at(time_s, self.stamps.time_s, self.direction)
 
     def fading_at(self, samples: NDArray[np.intp], q: Array, joint: int, fading: Fading) -> Array:
         """Return the lost motion (n,) that a joint at positions ``q`` (n,) after ``samples`` (n,) has not yet taken up:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cellapp.estimation.calibration.parameters import ParameterSet
 from cellapp.estimation.discovery.arm_data import whitening
 from cellapp.estimation.discovery.records import BeforeAfter, Evidence, LawRecord, MotionEffectResult
-from cellapp.estimation.motion.fit import Solution
+from cellapp.estimation.motion.fit import Solution, with_lags_in_clocks
 from cellapp.estimation.motion.laws import JointLaw, JointState, JointTerm
 from cellapp.estimation.motion.residuals import MotionProblem, residuals
 from cellapp.estimation.motion.tracks import Track
@@ -110,11 +110,9 @@ class State:
 
     def values_of(self, terms: Sequence[JointTerm]) -> tuple[Array, Array]:
         """Return the values of some terms and their covariance; lags relative to the mean of all."""
-        lags, k = self.places_of(self.terms_of(JointLaw.LAG)), len(self.solution.values)
-        less_mean = np.eye(k)
-        less_mean[np.ix_(lags, lags)] -= 1.0 / max(len(lags), 1)
-        less_mean = less_mean[self.places_of(terms)]
-        return less_mean @ self.solution.values, less_mean @ self.solution.noise.covariance @ less_mean.T
+        values, covariance = with_lags_in_clocks(self.problem, self.solution)
+        places = self.places_of(terms)
+        return values[places], covariance[np.ix_(places, places)]
 
     def statistic_of(self, terms: Sequence[JointTerm]) -> float:
         """Return the chi-square of some terms."""

@@ -298,24 +298,16 @@ def track_of(recording: Recording, nominal: Geometry, *, tool_unknown: bool, see
         )
     segment, beside = _segments(path, stamps, time - start.offset_s, where)
     known = path.known(time - start.offset_s) & path.begun(time - start.offset_s) & ~beside
-    held_out = points.held_out
-    track = Track(
-        recording.name,
-        path,
-        stamps,
-        time,
-        p_M,
-        None if points.sigma_m is None else points.sigma_m[stamps.rows],
-        segment,
-        np.full(int(segment.max()) + 1, start.offset_s),
-        float((time[0] + time[-1]) / 2.0),
-        known,
-        known,
-        start,
-    )
-    track = _with_segment_starts(track, usual & known, nominal, tool_unknown, where)
+    offsets = np.full(int(segment.max()) + 1, start.offset_s)
+    for number in range(len(offsets)) if len(offsets) > 1 else ():
+        rows = np.flatnonzero((segment == number) & usual & known)
+        if _starts_elsewhere(start, path, time[rows], p_M[rows]):
+            own = clock_start(nominal, path, time[rows], p_M[rows], tool_unknown=tool_unknown, where=where)
+            offsets[number] = own.offset_s
     validate, guard = (
-        _sampled(time, known, seed) if held_out is None else (held_out[stamps.rows], np.zeros(len(time), bool))
+        _sampled(time, known, seed)
+        if points.held_out is None
+        else (points.held_out[stamps.rows], np.zeros(len(time), bool))
     )
     learnt = known & ~validate & ~guard
     if learnt.sum() < _LEAST_POINTS:
@@ -323,8 +315,21 @@ def track_of(recording: Recording, nominal: Geometry, *, tool_unknown: bool, see
             f"{where}: {int(learnt.sum())} points lie at times at which the joints are known and are not held out; at"
             f" least {_LEAST_POINTS} are needed"
         )
-    clock_known = np.bincount(segment[learnt], minlength=len(track.offsets_s)) >= _FEWEST_OF_SEGMENT
-    return replace(track, learnt=learnt, held_out=known & validate & clock_known[segment])
+    clock_known = np.bincount(segment[learnt], minlength=len(offsets)) >= _FEWEST_OF_SEGMENT
+    return Track(
+        recording.name,
+        path,
+        stamps,
+        time,
+        p_M,
+        None if points.sigma_m is None else points.sigma_m[stamps.rows],
+        segment,
+        offsets,
+        float((time[0] + time[-1]) / 2.0),
+        learnt,
+        known & validate & clock_known[segment],
+        start,
+    )
 
 
 def _segments(
@@ -345,25 +350,12 @@ def _segments(
     return segment, beside
 
 
-def _with_segment_starts(
-    track: Track, usual: NDArray[np.bool_], nominal: Geometry, tool_unknown: bool, where: str
-) -> Track:
-    """Give segments that do not fit at the recording's delay their own start: samples were lost at a step."""
-    offsets = track.offsets_s.copy()
-    if len(offsets) == 1:
-        return track
-    for number in range(len(offsets)):
-        rows = np.flatnonzero((track.segment == number) & usual)
-        if len(rows) < 20 or np.ptp(track.time_s[rows]) < _SEGMENT_S:
-            continue
-        q, _ = track.path.at(track.time_s[rows] - offsets[number])
-        misses = np.linalg.norm(smr_positions(track.start.nominal, q) - track.p_M[rows], axis=1)
-        if np.median(misses) > _BAD_START * track.start.rms_m:
-            own = clock_start(
-                nominal, track.path, track.time_s[rows], track.p_M[rows], tool_unknown=tool_unknown, where=where
-            )
-            offsets[number] = own.offset_s
-    return replace(track, offsets_s=offsets)
+def _starts_elsewhere(start: ClockStart, path: TimedPath, time_s: Array, p_M: Array) -> bool:
+    """Return whether the points of a segment do not fit at the recording's delay: samples were lost at a step."""
+    if len(time_s) < _FEWEST_OF_SEGMENT or np.ptp(time_s) < _SEGMENT_S:
+        return False
+    misses = np.linalg.norm(smr_positions(start.nominal, path.at(time_s - start.offset_s)[0]) - p_M, axis=1)
+    return bool(np.median(misses) > _BAD_START * start.rms_m)
 
 
 def _sampled(time: Array, known: NDArray[np.bool_], seed: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
