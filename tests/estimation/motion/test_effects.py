@@ -130,6 +130,8 @@ def test_two_cycles_beside_much_more_of_one_are_of_the_same_disc():
     ]
     problem = problem.with_terms((*lines, *one_cycle))
     gear, disc = effects_of(State(problem, solve(problem), 1.0, tuple(steps)))
+    assert gear.found.law is not None
+    assert disc.found.law is not None
     assert (gear.found.effect, gear.found.joints, gear.found.law.name) == ("transmission_error", (2,), "lines")
     assert gear.terms == lines[2:]
     assert (disc.found.effect, disc.found.law.name, disc.found.at_rest) == ("encoder_eccentricity", "tilted", True)
