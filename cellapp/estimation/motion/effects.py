@@ -676,13 +676,10 @@ def _best_shares(
 
 def _largest_torques(problem: MotionProblem) -> Array:
     """Return the largest torque (N,) [Nm] of each joint in all recordings."""
-    largest = np.zeros(problem.parameters.joints)
-    for track in problem.tracks:
-        stamps = track.path.stamps.time_s
-        times = np.linspace(stamps[0], stamps[-1], _TORQUES)
-        torque = state_in_motion(track.path, times, problem.masses).torque
-        largest = np.maximum(largest, np.abs(torque).max(axis=0))
-    return largest
+    paths = [track.path for track in problem.tracks]
+    times = [np.linspace(*path.stamps.time_s[[0, -1]], _TORQUES) for path in paths]
+    torques = [state_in_motion(path, its, problem.masses).torque for path, its in zip(paths, times, strict=True)]
+    return np.asarray(np.abs(np.concatenate(torques)).max(axis=0))
 
 
 def _gains(

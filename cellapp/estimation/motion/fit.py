@@ -211,7 +211,7 @@ def _weighed_step(
         precision = _with_spreads(problem, values, A, precision)
         unit, H = with_priors(A, precision)
         step = unit * solve_psd(H, unit * (b + precision * (problem.mean - values)))
-        noise = noise_model([one.bands for one in sums], worths, step, precision, A)
+        noise = noise_model([bands for *_, bands in sums], worths, step, precision, A)
         levels = noise.level
         if max(abs(level - 1.0) for level in levels) < _REWEIGHTED:
             break
@@ -246,10 +246,9 @@ def _normal(problem: MotionProblem, sums: Sequence[Sums], worths: Sequence[float
     """Sum the normal equations of all sources over all parameters."""
     k = len(problem.mean)
     A, b = np.zeros((k, k)), np.zeros(k)
-    for one, worth in zip(sums, worths, strict=True):
-        places = one.bands.columns
-        A[places[:, None], places] += worth * one.A
-        b[places] += worth * one.b
+    for (own_A, own_b, bands), worth in zip(sums, worths, strict=True):
+        A[bands.columns[:, None], bands.columns] += worth * own_A
+        b[bands.columns] += worth * own_b
     return A, b
 
 
@@ -319,7 +318,8 @@ def _nearby(seconds: float, norm: Array) -> Array:
     """
     count = max(math.ceil(_NEARBY_S * len(norm) / max(seconds, _NEARBY_S)), _FEWEST_NEARBY)
     parts = np.array_split(norm, max(len(norm) // count, 1))
-    return np.maximum(np.repeat([np.median(part) for part in parts], [len(part) for part in parts]), _TRACKER_M)
+    medians = np.repeat([float(np.median(part)) for part in parts], [len(part) for part in parts])
+    return np.asarray(np.maximum(medians, _TRACKER_M))
 
 
 def _source(rows: NDArray[np.intp], norm: Array, stated: Array | None) -> Source:
@@ -490,12 +490,13 @@ def _seen(problem: MotionProblem, solution: Solution) -> _Seen:
         for number, source in enumerate(solution.sources)
         if len(source.rows)
     ]
-    ends = np.cumsum([len(one.r) for one in averages])
-    X, r = np.zeros((ends[-1], 3, k)), np.concatenate([one.r for one in averages])
-    parts = [slice(end - len(one.r), end) for one, end in zip(averages, ends.tolist())]
-    for one, part in zip(averages, parts):
-        X[part, :, one.columns] = one.X
-    basis, size = _functions_of_posture(np.concatenate([one.q for one in averages]))
+    r, q = (np.concatenate([one[place] for one in averages]) for place in (1, 2))
+    X, parts, end = np.zeros((len(r), 3, k)), list[slice](), 0
+    for number, (own_X, _, _) in enumerate(averages):
+        parts.append(slice(end, end + len(own_X)))
+        X[parts[-1], :, wide.columns_of(number)] = own_X
+        end += len(own_X)
+    basis, size = _functions_of_posture(q)
     own_X, own_r = np.tensordot(basis, X, (0, 0)), basis.T @ r
     X -= np.tensordot(basis, own_X, (1, 0))
     r -= basis @ own_r

@@ -152,15 +152,6 @@ class NoiseModel:
         return np.asarray(scipy.special.stdtrit(self.freedom, 0.975))
 
 
-@dataclass(frozen=True, eq=False)
-class _Band:
-    """One band with enough degrees of freedom: its gram (K, K) of orthonormal columns, and its energy."""
-
-    count: float
-    gram: Array
-    energy: float
-
-
 def with_priors(information: Array, precision: Array) -> tuple[Array, Array]:
     """Return units (K,) in which ``information`` (K, K) and the precision (K,) of priors have together a unit diagonal,
     and their sum (K, K) in these units."""
@@ -195,20 +186,20 @@ def noise_model(
     L = np.linalg.cholesky(H + 1e-12 * np.eye(len(H)))
     root = scipy.linalg.solve_triangular(L, np.diag(unit), lower=True)  # L^-1 in the parameters' units
     by_source = [_joined_bands(source, worth, step, root) for source, worth in zip(sources, worths, strict=True)]
-    bands = [band for its in by_source for band in its]
-    s, freedom = _variances(bands)
-    ends = np.cumsum([len(its) for its in by_source])
+    count, grams, energy = (np.concatenate(arrays) for arrays in zip(*by_source, strict=True))
+    s, freedom = _variances(count, grams, energy)
+    of_source = np.split(np.arange(len(s)), np.cumsum([len(its) for its, *_ in by_source])[:-1])
     # the part of the columns lost by averaging over neighbours is faster than all bands
-    averaged_out = (root @ information) @ root.T - sum(band.gram for band in bands)
+    averaged_out = (root @ information) @ root.T - grams.sum(axis=0)
     if modelled is not None:
         averaged_out = averaged_out - (root @ modelled.information) @ root.T
-    inner = np.einsum("b,bij->ij", s, np.stack([band.gram for band in bands])) + s[ends - 1].max() * averaged_out
+    inner = np.einsum("b,bij->ij", s, grams) + max(s[own[-1]] for own in of_source) * averaged_out
     uneven = np.ones(len(H))
     for source in sources:
         uneven[source.columns] = np.maximum(uneven[source.columns], source.uneven)
     covariance = (root.T @ inner @ root) * np.sqrt(np.outer(uneven, uneven))
     covariance = covariance + root.T @ ((root * precision) @ root.T) @ root
-    shares = np.stack([np.sum(root * (band.gram @ root), axis=0) for band in bands]) * s[:, None] * uneven
+    shares = np.sum(root * (grams @ root), axis=1) * s[:, None] * uneven
     own = np.sum(shares**2 / freedom[:, None], axis=0)
     if modelled is not None:
         by_step = root.T @ root
@@ -219,7 +210,7 @@ def noise_model(
     return NoiseModel(
         covariance,
         np.clip(variance**2 / np.maximum(own, 1e-300), 1.0, 1e6),
-        tuple(_level(its, s[end - len(its) : end]) for its, end in zip(by_source, ends.tolist(), strict=True)),
+        tuple(_level(grams[own], s[own]) for own in of_source),
     )
 
 
@@ -234,8 +225,9 @@ def whitening_filter(r: Array, period_s: float) -> Array:
     return np.concatenate([[1.0], -scipy.linalg.solve_toeplitz(covariance[:-1], covariance[1:])])
 
 
-def _joined_bands(source: Bands, worth: float, step: Array, root: Array) -> list[_Band]:
-    """Return the bands of one source; those with few degrees of freedom are joined to the next faster one."""
+def _joined_bands(source: Bands, worth: float, step: Array, root: Array) -> tuple[Array, Array, Array]:
+    """Return coordinates (B,), grams of orthonormal columns (B, K, K) and energies (B,) of the bands of one source;
+    those with few degrees of freedom are joined to the next faster one."""
     own = root[:, source.columns]
     grams = worth * (own @ source.gram @ own.T)
     energies = np.maximum(worth * source.energy(step), 0.0)  # rounding makes them negative if a fit leaves nothing
@@ -246,24 +238,21 @@ def _joined_bands(source: Bands, worth: float, step: Array, root: Array) -> list
             starts, free = [*starts, place], 0.0
     if len(starts) > 1:
         starts.pop()  # what follows the last complete band, if anything, joins it
-    counts, grams, energies = (np.add.reduceat(one, starts) for one in (source.count, grams, energies))
-    return [_Band(float(n), G, float(E)) for n, G, E in zip(counts, grams, energies, strict=True)]
+    count, grams, energies = (np.add.reduceat(one, starts) for one in (source.count, grams, energies))
+    return count, grams, energies
 
 
-def _variances(bands: Sequence[_Band]) -> tuple[Array, Array]:
+def _variances(count: Array, grams: Array, energy: Array) -> tuple[Array, Array]:
     """Return the variance of each band, and its degrees of freedom."""
-    count = np.array([band.count for band in bands], dtype=np.float64)
-    absorbed = np.array([np.trace(band.gram) for band in bands])
-    grams = np.stack([band.gram for band in bands]).reshape(len(bands), -1)
-    energy = np.array([band.energy for band in bands])
+    absorbed, flat = grams.trace(axis1=1, axis2=2), grams.reshape(len(grams), -1)
     freedom = np.maximum(count - absorbed, 1.0)
-    s = np.linalg.lstsq(np.diag(count - 2.0 * absorbed) + grams @ grams.T, energy, rcond=None)[0]
+    s = np.linalg.lstsq(np.diag(count - 2.0 * absorbed) + flat @ flat.T, energy, rcond=None)[0]
     plain = energy / freedom
     return np.asarray(np.where(s > _LEAST_SHARE * plain, s, plain)), freedom
 
 
-def _level(bands: Sequence[_Band], s: Array) -> float:
-    tells = np.array([np.trace(band.gram) for band in bands])
+def _level(grams: Array, s: Array) -> float:
+    tells = grams.trace(axis1=1, axis2=2)
     return max(float(tells @ s / tells.sum()), _LEAST_LEVEL) if tells.sum() > 0.0 else 1.0
 
 
@@ -365,13 +354,8 @@ class MotionProblem:
         return state_at_rest(q, direction, masses, None if holder.step is None else holder.step[rows])
 
 
-@dataclass(frozen=True, eq=False)
-class Sums:
-    """Normal equations of one source in its own columns, in total and by frequency band."""
-
-    A: Array
-    b: Array
-    bands: Bands
+Sums = tuple[Array, Array, Bands]
+"""Normal equations of one source in its own columns: ``X^T X`` and ``X^T r`` in total, and by frequency band."""
 
 
 def residuals(problem: MotionProblem, values: Array, number: int, rows: NDArray[np.intp]) -> Array:
@@ -384,17 +368,6 @@ def residuals(problem: MotionProblem, values: Array, number: int, rows: NDArray[
         q = state.q + state.offsets(problem.terms, of_terms)
         residual[first : first + CHUNK] = problem.holders[number].p_M[part] - smr_positions(geometry, q)
     return residual
-
-
-@dataclass(frozen=True, eq=False)
-class Averages:
-    """Weighted columns ``X`` (m, 3, k) at indices ``columns``, residuals ``r`` (m, 3) and joint positions ``q`` (m, N)
-    of one recording, averaged over neighbours so that sums are preserved."""
-
-    X: Array
-    columns: NDArray[np.intp]
-    r: Array
-    q: Array
 
 
 def sums_of(
@@ -425,18 +398,18 @@ def sums_of(
         A += flat @ flat.T
         b += flat @ residual.ravel()
         parts.append(_averaged(X, residual, weight, q, each))
-    found = _joined(parts, columns)
-    return Sums(A, b, bands_of(found.X, found.columns, found.r, in_time=isinstance(holder, Track)))
+    X, residual, _ = _joined(parts)
+    return A, b, bands_of(X, columns, residual, in_time=isinstance(holder, Track))
 
 
 def averages_of(
     problem: MotionProblem, values: Array, number: int, rows: NDArray[np.intp], root: Array, most: int
-) -> Averages:
-    """Return up to ``most`` averages of ``rows`` of a recording, or the stops without averaging, weighted by the square
-    of ``root`` (n,) [1/m]."""
+) -> tuple[Array, Array, Array]:
+    """Return weighted columns (m, 3, k), residuals (m, 3) and joint positions (m, N) of a source, averaged over
+    neighbours so that sums are preserved: up to ``most`` averages of ``rows`` of a recording, or the stops without
+    averaging, weighted by the square of ``root`` (n,) [1/m]."""
     each = _block_length(problem.holders[number], len(rows), most)
-    parts = [_averaged(*chunk, each) for chunk in _chunks(problem, values, number, rows, root, each)]
-    return _joined(parts, problem.columns_of(number))
+    return _joined([_averaged(*chunk, each) for chunk in _chunks(problem, values, number, rows, root, each)])
 
 
 def _chunks(
@@ -474,9 +447,9 @@ def _averaged(X: Array, residual: Array, weight: Array, q: Array, each: int) -> 
     )
 
 
-def _joined(parts: Sequence[tuple[Array, Array, Array]], columns: NDArray[np.intp]) -> Averages:
+def _joined(parts: Sequence[tuple[Array, Array, Array]]) -> tuple[Array, Array, Array]:
     X, r, q = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
-    return Averages(X, columns, r, q)
+    return X, r, q
 
 
 def _arm_columns(
