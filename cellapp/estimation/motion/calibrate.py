@@ -110,7 +110,7 @@ def calibrate_with_motion(
         if profile.network.kind == "batches":
             arm = train_arm_in_motion(profile, arm, readings[name], fit, job, told)
         known[name] = arm
-        samples[name] = samples_of(fit, len(profile.arms[name].type.joints))
+        samples[name] = samples_of(fit)
     found = calibrate_readings(profile, readings, job, known=known)
     if found.pair is None and len(known) == len(profile.arms) == 2:
         T_M_first, T_M_second = (arm.model.geometry.T_M_B() for arm in found.arms.values())
@@ -159,7 +159,7 @@ def calibrate_arm_with_motion(
     """Calibrate one arm from its recordings and, if there are any, from the readings of its identify split."""
     recorded = recorded_arm(profile, name, readings, recordings)
     fit = identify_from_motion(recorded, told)
-    found, some = fit.identification, samples_of(fit, recorded.nominal.joints)
+    found, some = fit.identification, samples_of(fit)
     start = start_from_nominal(recorded.nominal, some.q, some.p_M, tool_unknown=recorded.tool_unknown)
     held_out = readings.take(readings.in_split("validate"))
     in_motion = _errors_in_motion(name, fit)
@@ -178,7 +178,7 @@ def calibrate_arm_with_motion(
     )
 
 
-def samples_of(fit: MotionFit, joints: int, at_rest: Callable[[TimedPath, Array], Array] | None = None) -> Readings:
+def samples_of(fit: MotionFit, at_rest: Callable[[TimedPath, Array], Array] | None = None) -> Readings:
     """Return samples of all recordings, with the joint positions at their times, as readings: of the training points
     and of the held-out blocks. ``at_rest`` maps a path and times (n,) to the joint positions (n, N) at which an arm at
     rest has the points of these times; without it, those of the path are used."""
@@ -189,20 +189,19 @@ def samples_of(fit: MotionFit, joints: int, at_rest: Callable[[TimedPath, Array]
             most = min(most, math.ceil(np.count_nonzero(chosen) * one.track.stamps.period_s / _APART_S))
             rows = _past_reversals(one, thinned(np.flatnonzero(chosen), _TRIED * most))
             parts.append((word, one, thinned(rows, most)))
-    n = sum(len(rows) for *_, rows in parts)
-    times = [(one.track.path, one.track.controller_times(rows, one.clock_s)) for _, one, rows in parts]
+    times = [(one.track.path, one.track.controller_times(rows)) for _, one, rows in parts]
     q = [path.at(time_s)[0] if at_rest is None else at_rest(path, time_s) for path, time_s in times]
     stated = [one.track.sigma_m[rows] for _, one, rows in parts if one.track.sigma_m is not None]
     sides = [path.direction_at(time_s) for path, time_s in times]
     travelled = [path.travel_at(time_s, path.at(time_s)[0]) for path, time_s in times]
     return Readings(
-        configuration=np.arange(n),
+        configuration=np.arange(sum(len(rows) for *_, rows in parts)),
         time_s=np.concatenate([one.track.time_s[rows] for _, one, rows in parts]),
-        q=np.concatenate(q).reshape(n, joints),
-        approach=np.sign(np.rint(np.concatenate(sides))).astype(np.int8).reshape(n, joints),
+        q=np.concatenate(q),
+        approach=np.sign(np.rint(np.concatenate(sides))).astype(np.int8),
         p_M=np.concatenate([one.track.p_M[rows] for _, one, rows in parts]),
         sigma_m=np.concatenate(stated) if len(stated) == len(parts) else None,
-        step=np.concatenate(travelled).reshape(n, joints),
+        step=np.concatenate(travelled),
         other_q=_beside(times),
         split=tuple(word for word, _, rows in parts for _ in rows),
     )
@@ -210,7 +209,7 @@ def samples_of(fit: MotionFit, joints: int, at_rest: Callable[[TimedPath, Array]
 
 def _past_reversals(one: RecordingFit, rows: NDArray[np.intp]) -> NDArray[np.intp]:
     """Return the points at which no joint has just reversed; all points if there is none."""
-    path, time_s = one.track.path, one.track.controller_times(rows, one.clock_s)
+    path, time_s = one.track.path, one.track.controller_times(rows)
     q = path.at(time_s)[0]
     moves = np.ptp(q, axis=0) > _MOVES_RAD if len(q) else np.zeros(q.shape[1], dtype=np.bool_)
     past = (np.abs(path.travel_at(time_s, q)) > _PAST_PLAY_RAD)[:, moves].all(axis=1)
@@ -271,7 +270,7 @@ def _motion_result(fit: MotionFit, errors: Mapping[Stage, StageErrors]) -> Motio
     play, error, N = fit.half_play.tolist(), fit.half_play_standard_error.tolist(), len(fit.half_play)
     return MotionResult(
         recordings={name: one.result for name, one in fit.recordings.items()},
-        effective_points=fit.effective,
+        effective_points=sum(one.result.effective_points for one in fit.recordings.values()),
         half_play=Estimate.by_name([f"joint {joint}" for joint in range(1, N + 1)], play, error, ["rad"] * N),
         stops_scatter_mm=None if fit.stops_scatter_m is None else fit.stops_scatter_m * 1e3,
         validate_=errors,
@@ -300,7 +299,7 @@ def train_arm_in_motion(
     if len(stops):
         loaded = MeasurementConditions(approach=stops.approach, payload_kg=stops.payload_kg)
         parts = [(stops.q, stops.p_M - arm.model.predict(stops.q, conditions=loaded)), *parts]
-    q, off_M = _joined(parts)
+    q, off_M = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
     in_order = np.arange(float(len(q)))  # in order of time in each recording, by which blocks are cut
     arm = with_networks(profile, arm, q, off_M, in_order, JobSteps(lambda _, words: told(words), job))
     if arm.model.network is None:
@@ -311,23 +310,21 @@ def train_arm_in_motion(
     return replace(arm, validate={**arm.validate, "network": StageErrors(position_mm=summary_mm(mm))})
 
 
-def _joined(parts: Sequence[_Residuals]) -> _Residuals:
-    return np.concatenate([q for q, _ in parts]), np.concatenate([off_M for _, off_M in parts])
-
-
 def _held_out(arm: ArmCalibration, readings: Readings, fit: MotionFit) -> _Residuals:
     """Return the residuals where the other stages are judged: at held-out readings at rest, else in held-out blocks."""
     stops = without(readings.take(readings.in_split("validate")), arm.left_out)
     if len(stops):
         return stops.q, stops.p_M - smr_positions(arm.model.geometry, stops.q)
-    return _joined([_points(fit, one, held_out=True) for one in fit.recordings.values()])
+    parts = [_points(fit, one, held_out=True) for one in fit.recordings.values()]
+    q, off_M = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+    return q, off_M
 
 
 def _points(fit: MotionFit, one: RecordingFit, *, held_out: bool) -> _Residuals:
     """Return the points of a recording without gross errors."""
     track = one.track
     rows = np.flatnonzero(track.held_out if held_out else track.learnt)
-    time_s = track.controller_times(rows, one.clock_s)
+    time_s = track.controller_times(rows)
     q, _ = track.path.at(time_s)
     moved = q - fit.half_play * track.path.direction_at(time_s)
     off_M = track.p_M[rows] - smr_positions(fit.identification.geometry, moved)
@@ -418,7 +415,7 @@ class SearchWithRecordings:
             covariance=motion.covariance,
             posterior=None,
         )
-        samples = samples_of(motion.fit, model.geometry.joints, joints)
+        samples = samples_of(motion.fit, joints)
         if not len(self.stops[name]):
             return replace(arm, model=model, readings=samples, conditions=measurement_conditions(samples))
         # the last motion of a sample is the travel of each joint since its reversal

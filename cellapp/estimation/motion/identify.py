@@ -46,9 +46,7 @@ class RecordingFit:
     heldout_mm, heldout_nominal_mm : array, shape (h,)
         Distances of held-out points from the model and from the nominal arm at its base with the same clock [mm].
     track : Track
-        Path and points at the fitted clock, for later steps.
-    clock_s : array, shape (S + 1,)
-        Offsets of the segments [s], including the mean lag of the joints, and the rate.
+        Path and points at the fitted clock, which includes the mean lag of the joints, for later steps.
     """
 
     clock: ClockResult
@@ -56,7 +54,6 @@ class RecordingFit:
     heldout_mm: Array = field(repr=False)
     heldout_nominal_mm: Array = field(repr=False)
     track: Track = field(repr=False)
-    clock_s: Array = field(repr=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,8 +68,6 @@ class MotionFit:
         Lost motion in motion, by joint [rad]: a joint lies this far behind its motor, against its last motion.
     half_play_standard_error : array, shape (N,)
     recordings : mapping-like dict of RecordingFit
-    effective : float
-        Number of independent points of all recordings together.
     stops_scatter_m : float or None
         Standard deviation of a coordinate of the stops' residuals.
     undetermined : tuple of str
@@ -83,7 +78,6 @@ class MotionFit:
     half_play: Array
     half_play_standard_error: Array
     recordings: dict[str, RecordingFit]
-    effective: float
     stops_scatter_m: float | None
     undetermined: tuple[str, ...]
 
@@ -177,10 +171,8 @@ def motion_problem(arm: RecordedArm, told: Told) -> MotionProblem:
         masses = replace(masses, geometry=start)
     stated = arm.prior_sigma or {}
     parameters, priors = estimated_parameters(arm.parameter_set, start, stated)
-    mean = np.concatenate(
-        [start.vector()[list(parameters.columns)], *(np.append(its.offsets_s, 0.0) for its in tracks)]
-    )
-    of_clocks = [np.append(np.full(len(its.offsets_s), _OFFSET_SD), _RATE_SD) for its in tracks]
+    mean = np.concatenate([start.vector()[list(parameters.columns)], *(its.clock_s for its in tracks)])
+    of_clocks = [np.append(np.full(len(its.clock_s) - 1, _OFFSET_SD), _RATE_SD) for its in tracks]
     precision = np.concatenate([prior_sds(parameters, priors), *of_clocks]) ** -2.0
     spreads = prior_spreads(parameters, set(priors) - set(stated))
     bare = MotionProblem(start, parameters, (), tuple(tracks), arm.stops, mean, precision, spreads, masses)
@@ -192,8 +184,7 @@ def _some_points(tracks: Sequence[Track], stops: Stops | None) -> tuple[Array, A
     parts = [] if stops is None else [(stops.q, stops.p_M)]
     for track in tracks:
         rows = thinned(np.flatnonzero(track.learnt), 1000 // len(tracks) + 10)
-        time_s = track.controller_times(rows, np.append(track.offsets_s, 0.0))
-        parts.append((track.path.at(time_s)[0], track.p_M[rows]))
+        parts.append((track.path.at(track.controller_times(rows))[0], track.p_M[rows]))
     return np.concatenate([q for q, _ in parts]), np.concatenate([p for _, p in parts])
 
 
@@ -212,7 +203,6 @@ def motion_fit(problem: MotionProblem, solution: Solution) -> MotionFit:
         half_play=play,
         half_play_standard_error=play_error,
         recordings=found,
-        effective=sum(one.result.effective_points for one in found.values()),
         stops_scatter_m=solution.sources[-1].sigma_m if has_stops else None,
         undetermined=_undetermined(problem, identification, found),
     )
@@ -260,7 +250,7 @@ def _recording_fit(problem: MotionProblem, solution: Solution, number: int) -> R
     clock_s = values[problem.clock(number)]
     errors = np.sqrt(np.diag(covariance)[problem.clock(number)])
     clock = _clock_fit(track, clock_s, errors, errors * solution.noise.half_width()[problem.clock(number)])
-    return RecordingFit(clock, result, heldout_mm, nominal[good] * 1e3, track, clock_s)
+    return RecordingFit(clock, result, heldout_mm, nominal[good] * 1e3, replace(track, clock_s=clock_s))
 
 
 def _clock_fit(track: Track, clock_s: Array, errors: Array, half: Array) -> ClockResult:

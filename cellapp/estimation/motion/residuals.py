@@ -306,7 +306,7 @@ class MotionProblem:
 
     def clock(self, number: int) -> NDArray[np.intp]:
         """Return the indices of the offsets and the rate of one recording; none for the stops after these."""
-        sizes = [len(track.offsets_s) + 1 for track in self.tracks]
+        sizes = [len(track.clock_s) for track in self.tracks]
         first = self.arm + sum(sizes[:number])
         return np.arange(first, first + sum(sizes[number : number + 1]))
 

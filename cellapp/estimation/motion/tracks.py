@@ -236,8 +236,8 @@ class Track:
     sigma_m : array, shape (m,), or None
     segment : array of int, shape (m,)
         Index of the part between steps of either clock.
-    offsets_s : array, shape (S,)
-        Start values: tracker's timestamps less those of the controller, by segment.
+    clock_s : array, shape (S + 1,)
+        Tracker's timestamps less those of the controller, by segment, and the rate; start values, or those of a fit.
     middle_s : float
         Timestamp at which offsets are stated.
     learnt, held_out : array of bool, shape (m,)
@@ -252,7 +252,7 @@ class Track:
     p_M: Array = field(repr=False)
     sigma_m: Array | None = field(repr=False)
     segment: NDArray[np.intp] = field(repr=False)
-    offsets_s: Array
+    clock_s: Array
     middle_s: float
     learnt: NDArray[np.bool_] = field(repr=False)
     held_out: NDArray[np.bool_] = field(repr=False)
@@ -263,11 +263,10 @@ class Track:
         """Time of the training points [s]."""
         return float(np.count_nonzero(self.learnt) * self.stamps.period_s)
 
-    def controller_times(self, rows: NDArray[np.intp], clock: Array) -> Array:
-        """Return the times of some points by the controller's clock [s]; ``clock`` (S + 1,) are the offsets of the
-        segments [s], and the rate."""
-        t = self.time_s[rows]
-        return np.asarray(t - clock[self.segment[rows]] - clock[-1] * (t - self.middle_s))
+    def controller_times(self, rows: NDArray[np.intp], clock_s: Array | None = None) -> Array:
+        """Return the times of some points by the controller's clock [s], with another ``clock_s`` if given."""
+        t, clock_s = self.time_s[rows], self.clock_s if clock_s is None else clock_s
+        return np.asarray(t - clock_s[self.segment[rows]] - clock_s[-1] * (t - self.middle_s))
 
 
 def track_of(recording: Recording, nominal: Geometry, *, tool_unknown: bool, seed: int) -> Track:
@@ -324,7 +323,7 @@ def track_of(recording: Recording, nominal: Geometry, *, tool_unknown: bool, see
         p_M,
         None if points.sigma_m is None else points.sigma_m[stamps.rows],
         segment,
-        offsets,
+        np.append(offsets, 0.0),
         float((time[0] + time[-1]) / 2.0),
         learnt,
         known & validate & clock_known[segment],
