@@ -34,13 +34,12 @@ from cellapp.estimation.motion.search_state import (
     FREQUENCIES,
     ONLY_MOTION,
     SHOWN,
+    LawStep,
     MotionEffect,
-    SearchStep,
     State,
     beside_others,
     effects_of,
     is_improbable,
-    lagging_joints,
     log_chance,
     reshaped,
     settled,
@@ -252,10 +251,15 @@ class _Search:
         return trial if trial.heldout_mm < state.heldout_mm else state
 
     def _with_time_constants(self, state: State) -> State:
-        """Replace inertia by a time constant at joints that accelerations turn against a spring, if it fits better."""
+        """Replace inertia by a time constant at joints that accelerations turn against the sense of a spring, if that
+        fits better: a lag of time constant T adds ``T^2 qdd / 2`` to a delay."""
         step = state.steps[-1]
         values, covariance = state.values_of(step.terms)
-        late = lagging_joints(step.terms, values, np.sqrt(np.diag(covariance)), SHOWN)
+        late = tuple(
+            JointTerm(JointLaw.TIME_CONSTANT, term.joint, shape=(math.sqrt(-2.0 * value),))
+            for term, value, error in zip(step.terms, values.tolist(), np.sqrt(np.diag(covariance)).tolist())
+            if value < -SHOWN * error
+        )
         if not late:
             return state
         joints = {term.joint for term in late}
@@ -355,7 +359,7 @@ class _Search:
         log_p = log_chance(state.statistic_of(terms), len(tested(terms)), self.alternatives * more)
         return log_p > math.log(_CHANCE)
 
-    def _state(self, problem: MotionProblem, start: Array | None, steps: Sequence[SearchStep] = ()) -> State:
+    def _state(self, problem: MotionProblem, start: Array | None, steps: Sequence[LawStep] = ()) -> State:
         laws = list(dict.fromkeys(term.law.value for term in problem.terms))
         beginning = f"with {', '.join(laws)}: " if laws else ""
         solution = solve(problem, start, lambda words: self.told(beginning + words), to_its_end=self.to_its_end)
@@ -369,7 +373,7 @@ class _Search:
         values = np.concatenate([state.solution.values[: own.start], of_terms, state.solution.values[own.stop :]])
         return self._state(before.with_terms(terms), values, state.steps)
 
-    def _refitted(self, state: State, steps: Sequence[SearchStep]) -> State:
+    def _refitted(self, state: State, steps: Sequence[LawStep]) -> State:
         """Fit again with the terms of ``steps``."""
         return replace(self._fitted(state, [term for step in steps for term in step.terms]), steps=tuple(steps))
 
@@ -384,16 +388,15 @@ class _Search:
     def _unwhitened(self, state: State, plain: State) -> State:
         """Fit without whitening, for predictions. Lines, which are fast, keep their values from the whitened residuals
         if these determine them better than ``plain`` does."""
-        problem, solution, size = plain.problem, state.solution, state.problem.geometric
-        mean, precision = problem.mean.copy(), problem.precision.copy()
-        own, theirs = (np.diag(one.noise.covariance) for one in (solution, plain.solution))
-        for number, term in enumerate(problem.terms, start=size):
-            if term.law is JointLaw.LINE and own[number] < theirs[number]:
-                mean[number] = solution.values[number]
-                precision[number] = 1.0 / own[number]
-        if np.array_equal(precision, problem.precision):
+        problem, values = plain.problem, state.solution.values
+        own, theirs = (np.diag(one.solution.noise.covariance) for one in (state, plain))
+        lines = enumerate(problem.terms, start=problem.geometric)
+        better = [place for place, term in lines if term.law is JointLaw.LINE and own[place] < theirs[place]]
+        if not better:
             return plain
-        return self._state(replace(problem, mean=mean, precision=precision), solution.values, state.steps)
+        mean, precision = problem.mean.copy(), problem.precision.copy()
+        mean[better], precision[better] = values[better], 1.0 / own[better]
+        return self._state(replace(problem, mean=mean, precision=precision), values, state.steps)
 
     def _judged(self, trial: State) -> State:
         """Fit again with filters estimated from the residuals of ``trial``, as filters from before its terms hide a
@@ -511,7 +514,7 @@ def _reach(state: State, term: JointTerm) -> float:
     return max(1.0, 2.0 * math.pi * _ALIKE_TURNS / max(float(np.ptp(q)), 1e-3))
 
 
-def _recounted(step: SearchStep, better: Mapping[tuple[int, int], int | None]) -> SearchStep:
+def _recounted(step: LawStep, better: Mapping[tuple[int, int], int | None]) -> LawStep:
     """Move the lines of a step to other counts; drop lines that were merged into another."""
     if step.law is not JointLaw.LINE:
         return step

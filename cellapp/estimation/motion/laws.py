@@ -145,8 +145,12 @@ class TimedPath:
     def even(self) -> EvenPath:
         """The path on even grids between gaps."""
         t = self.stamps.time_s
-        runs = [(float(t[first]), float(t[last - 1])) for first, last in _runs(self.stamps)]
-        time_s, inside_s, first = even_grid(runs, BEND_S)
+        ends = [t[[first, last - 1]].tolist() for first, last in _runs(self.stamps)]
+        ends = [(first, last) for first, last in ends if last - first > 2.0 * BEND_S]
+        grids = [np.arange(first, last, _STEP_S) for first, last in ends]
+        inside = [np.clip(grid, first + BEND_S, last - BEND_S) for grid, (first, last) in zip(grids, ends, strict=True)]
+        time_s, inside_s = np.concatenate(grids), np.concatenate(inside)
+        first = np.cumsum([0, *map(len, grids)]).astype(np.intp)
         q, bent = self.at(time_s)[0], [self.at(inside_s + step)[0] for step in (-BEND_S, 0.0, BEND_S)]
         qdd = (bent[0] - 2.0 * bent[1] + bent[2]) / BEND_S**2
         inertia = None if self.inertia is None else self.inertia(q[first[:-1]])
@@ -403,18 +407,6 @@ def _filtered(
     t = _STEP_S * np.arange(len(q))
     speed = (q[1] - q[0]) / _STEP_S - 0.5 * bend * _STEP_S if len(q) > 1 else 0.0
     return np.asarray(lfilter(b, a, q - q[0] - t * (speed + 0.5 * bend * t)) + ramp * speed - bend)
-
-
-def even_grid(runs: list[tuple[float, float]], margin_s: float) -> tuple[Array, Array, NDArray[np.intp]]:
-    """Return times (G,) of even grids between the first and the last time [s] of each run; the nearest times at least
-    the margin inside; and the first rows of the runs."""
-    runs = [(first, last) for first, last in runs if last - first > 2.0 * margin_s]
-    parts = [np.arange(first, last, _STEP_S) for first, last in runs]
-    inside = [np.clip(part, first + margin_s, last - margin_s) for part, (first, last) in zip(parts, runs, strict=True)]
-    return np.concatenate(parts), np.concatenate(inside), np.cumsum([0, *map(len, parts)]).astype(np.intp)
-
-
-# -- Laws along a path ------------------------------------------------------------------------------------------------
 
 
 CHUNK = 2048
@@ -696,15 +688,11 @@ def state_in_motion(path: TimedPath, time_s: Array, masses: Masses | None) -> Jo
     torque = np.zeros_like(q)
     if masses is not None:
         even = path.even
-        on_grid = even.kept((torques_in_motion, masses), partial(_in_chunks, path, even.inside_s, masses))
+        parts = np.array_split(even.inside_s, -(-len(even.inside_s) // CHUNK))
+        of_parts = (torques_in_motion(path, part, masses) for part in parts)
+        on_grid = even.kept((torques_in_motion, masses), lambda: np.concatenate([*of_parts]))
         torque = rows_at(time_s, even.time_s, on_grid)
     return JointState(q, qd, path.direction_at(time_s), torque, (path, time_s))
-
-
-def _in_chunks(path: TimedPath, time_s: Array, masses: Masses) -> Array:
-    """Compute ``torques_in_motion`` at many times, in chunks."""
-    parts = np.array_split(time_s, -(-len(time_s) // CHUNK))
-    return np.concatenate([torques_in_motion(path, part, masses) for part in parts])
 
 
 def state_at_rest(q: Array, direction: Array, masses: Masses | None, step: Array | None = None) -> JointState:

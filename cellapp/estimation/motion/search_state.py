@@ -9,7 +9,6 @@ from itertools import product
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.parameters import ParameterSet
 from cellapp.estimation.discovery.arm_data import whitening
@@ -74,7 +73,7 @@ class MotionEffect:
 
 
 @dataclass(frozen=True)
-class SearchStep:
+class LawStep:
     """A step of the search: its terms, chi-square, log probability of as large a value by chance, and held-out errors
     before and after; ``other_log_p`` is the log probability of the best confounded law."""
 
@@ -94,7 +93,7 @@ class State:
     problem: MotionProblem
     solution: Solution
     heldout_mm: float
-    steps: tuple[SearchStep, ...] = ()
+    steps: tuple[LawStep, ...] = ()
 
     def has(self, law: JointLaw | MotionLaw) -> bool:
         """Return whether a law entered; a law of a plug-in with any values of its tuned parameters."""
@@ -119,7 +118,7 @@ class State:
         values, covariance = self.values_of(tested(terms))
         return float(values @ np.linalg.pinv(covariance, hermitian=True) @ values)
 
-    def entered(self, step: SearchStep) -> State:
+    def entered(self, step: LawStep) -> State:
         """Return the state with a step, whose terms were fitted; further terms of a law that entered before join its
         step, except for lines and vibrations."""
         steps, laws, step = list(self.steps), [one.law for one in self.steps], replace(step, after_mm=self.heldout_mm)
@@ -131,12 +130,12 @@ class State:
         steps[place] = replace(one, terms=terms, statistic=statistic, after_mm=step.after_mm)
         return replace(self, steps=tuple(steps))
 
-    def steps_with(self, terms: Mapping[JointLaw | MotionLaw, Sequence[JointTerm]]) -> list[SearchStep]:
+    def steps_with(self, terms: Mapping[JointLaw | MotionLaw, Sequence[JointTerm]]) -> list[LawStep]:
         """Return the steps with other terms of some laws, without those that then have none."""
         changed = (replace(step, terms=tuple(terms.get(step.law, step.terms))) for step in self.steps)
         return [step for step in changed if step.terms]
 
-    def steps_without(self, terms: Collection[JointTerm]) -> list[SearchStep]:
+    def steps_without(self, terms: Collection[JointTerm]) -> list[LawStep]:
         """Return the steps without some terms."""
         kept = (replace(step, terms=tuple(term for term in step.terms if term not in terms)) for step in self.steps)
         return [step for step in kept if step.terms]
@@ -177,10 +176,10 @@ def log_chance(statistic: float, parameters: int, tried: int) -> float:
 
 def step_of(
     law: JointLaw | MotionLaw, terms: tuple[JointTerm, ...], trial: State, tried: int, before: State
-) -> SearchStep:
+) -> LawStep:
     """Return the step from a state to a trial with further terms of a law, the best of ``tried`` alternatives."""
     statistic = trial.statistic_of(terms)
-    return SearchStep(law, terms, statistic, log_chance(statistic, len(tested(terms)), tried), before.heldout_mm)
+    return LawStep(law, terms, statistic, log_chance(statistic, len(tested(terms)), tried), before.heldout_mm)
 
 
 def tested(terms: Sequence[JointTerm]) -> list[JointTerm]:
@@ -266,7 +265,7 @@ def _form(law: JointLaw | MotionLaw, terms: Sequence[JointTerm], others: Sequenc
     return AT_REST[law]
 
 
-def beside_others(state: State, step: SearchStep) -> SearchStep:
+def beside_others(state: State, step: LawStep) -> LawStep:
     """Return the step with the evidence of its terms beside all others. It may be larger than when the step entered:
     until then, effects of the others counted as noise."""
     parameters = len(tested(step.terms))
@@ -275,12 +274,12 @@ def beside_others(state: State, step: SearchStep) -> SearchStep:
     return replace(step, statistic=statistic, log_p=min(step.log_p + more, 0.0), other_log_p=step.other_log_p + more)
 
 
-def is_improbable(state: State, step: SearchStep) -> bool:
+def is_improbable(state: State, step: LawStep) -> bool:
     """Return whether a step is more probably absent than present."""
     return _probability(state, step.statistic, len(tested(step.terms)), step.log_p) < 0.5
 
 
-def _odds(steps: Sequence[SearchStep], law: JointLaw | MotionLaw) -> float:
+def _odds(steps: Sequence[LawStep], law: JointLaw | MotionLaw) -> float:
     """Return the probability of a law against the one confounded with it, at even prior odds, by the evidence of
     either; 1 if both entered or none is confounded."""
     entered = {step.law: step for step in steps if step.law in CONFOUNDED}
@@ -319,11 +318,6 @@ _REACH: Mapping[JointLaw | MotionLaw, tuple[tuple[float, float], ...]] = {
 """Bounds of the shapes: time constant [s]; gain [s^2], frequency [Hz], damping."""
 
 
-def vibration(joint: int, shape: tuple[float, ...]) -> tuple[JointTerm, ...]:
-    """Return the terms of a vibration of a joint (from 0): gain [s^2], frequency [Hz], damping ratio."""
-    return tuple(JointTerm(JointLaw.VIBRATION, joint, shape=shape, part=part) for part in range(3))
-
-
 def reshaped(terms: Sequence[JointTerm], values: Sequence[float]) -> list[JointTerm]:
     """Return the terms linearised at their ``values``; those without a shape unchanged."""
     found, rest = list(terms), dict(zip(terms, values, strict=True))
@@ -355,7 +349,9 @@ def strongest_vibration(
     power = 0.5 * product**2 / square
     joint, place = np.unravel_index(int(np.argmax(power)), power.shape)
     gain = float(product[joint, place] / square[joint, place])
-    return float(power[joint, place]), vibration(int(joint), (gain, float(FREQUENCIES[place]), _DAMPING))
+    shape = (gain, float(FREQUENCIES[place]), _DAMPING)
+    terms = tuple(JointTerm(JointLaw.VIBRATION, int(joint), shape=shape, part=part) for part in range(len(shape)))
+    return float(power[joint, place]), terms
 
 
 def _matched(problem: MotionProblem, solution: Solution, free: Sequence[int]) -> tuple[Array, Array]:
@@ -402,20 +398,6 @@ def _rotated(geometry: Geometry, q: Array, residuals: Array) -> tuple[Array, Arr
         parts.append((np.einsum("ajn,na->nj", J, own), np.einsum("ajn,ajn->nj", J, J)))
     angular, weight = (np.concatenate(each) for each in zip(*parts, strict=True))
     return angular, weight
-
-
-def lagging_joints(terms: Sequence[JointTerm], values: Array, errors: Array, shown: float) -> tuple[JointTerm, ...]:
-    """Return time constants of the joints that accelerations turn against the sense of a spring.
-
-    A lag of time constant T adds ``T^2 qdd / 2`` to a delay.
-
-    ``terms`` are the terms of ``JointLaw.INERTIA`` with their values [s^2] and standard errors (N,).
-    """
-    which: NDArray[np.intp] = np.flatnonzero(values < -shown * errors)
-    return tuple(
-        JointTerm(JointLaw.TIME_CONSTANT, terms[place].joint, shape=(math.sqrt(-2.0 * float(values[place])),))
-        for place in which
-    )
 
 
 # -- Information of stops and sweeps before any motion, by which sweeps are chosen -------------------------------------

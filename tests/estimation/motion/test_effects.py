@@ -17,7 +17,7 @@ from cellapp.estimation.motion.effects import effects_in_motion
 from cellapp.estimation.motion.fit import solve
 from cellapp.estimation.motion.identify import RecordedArm, identify_from_motion, motion_problem
 from cellapp.estimation.motion.laws import JointLaw, JointTerm, joint_path, of_all_joints, state_in_motion
-from cellapp.estimation.motion.search_state import SearchStep, State, effects_of
+from cellapp.estimation.motion.search_state import LawStep, State, effects_of
 from cellapp.estimation.motion.streams import JointStream
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import DiscoverySettings
@@ -125,7 +125,7 @@ def test_two_cycles_beside_much_more_of_one_are_of_the_same_disc():
     one_cycle = of_all_joints(JointLaw.ONE_CYCLE, 6)
     lines = tuple(JointTerm(JointLaw.LINE, joint, 2, sine) for joint in range(2) for sine in (False, True))
     steps = [
-        SearchStep(law, its, 100.0, -50.0, 1.0, 1.0)
+        LawStep(law, its, 100.0, -50.0, 1.0, 1.0)
         for law, its in ((JointLaw.LINE, lines), (JointLaw.ONE_CYCLE, one_cycle))
     ]
     problem = problem.with_terms((*lines, *one_cycle))
