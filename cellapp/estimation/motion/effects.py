@@ -27,7 +27,16 @@ import scipy
 from cellapp.estimation.calibration.least_squares import solve_psd
 from cellapp.estimation.motion.fit import Solution, Source, allow_for_missing, normal_equations, solve
 from cellapp.estimation.motion.identify import MotionFit, RecordedArm, held_out_rms_mm, motion_fit, motion_problem
-from cellapp.estimation.motion.laws import Fading, JointLaw, JointLaws, JointTerm, Knee, of_all_joints, state_in_motion
+from cellapp.estimation.motion.laws import (
+    LOADED,
+    Fading,
+    JointLaw,
+    JointLaws,
+    JointTerm,
+    Knee,
+    of_all_joints,
+    state_in_motion,
+)
 from cellapp.estimation.motion.residuals import MotionProblem, residuals, whitening_filter
 from cellapp.estimation.motion.search_state import (
     CONFOUNDED,
@@ -133,7 +142,7 @@ class _Search:
         """Add laws of all joints and lines until chance explains the rest."""
         state = _whitened(self._state(self.problem.with_terms(()), None))
         first_mm = state.heldout_mm
-        loaded = (JointLaw.WINDUP, JointLaw.COMPLIANCE) if self.problem.masses is not None else ()
+        loaded = LOADED if self.problem.masses is not None else ()
         own = [law for law in self.own if loaded or not law.needs_torques]
         laws: list[JointLaw | MotionLaw] = [JointLaw.PLAY, JointLaw.LAG, JointLaw.INERTIA, JointLaw.ONE_CYCLE]
         laws += [*loaded, *own]
@@ -218,20 +227,24 @@ class _Search:
     def _with_sides(self, state: State) -> State:
         """Add lines of the neighbouring counts if these clearly fit better: teeth whose amplitude is modulated by the
         run-out of a gear, or counts that are not whole."""
-        lines = state.terms_of(JointLaw.LINE)
-        beside = [_sides(*place, lines) for place in dict.fromkeys(term.place for term in lines) if place[1] > 2]
+        places = dict.fromkeys(term.place for term in state.terms_of(JointLaw.LINE))
+        taken, beside = set(places), list[list[JointTerm]]()
+        for joint, cycles in places:
+            free = [side for side in (-1, 1) if cycles > 2 and (joint, cycles + side) not in taken]
+            taken |= {(joint, cycles + side) for side in free}
+            beside.append([replace(term, side=side) for side in free for term in _pair(joint, cycles + side)])
         terms = tuple(term for its in beside for term in its)
         if not terms:
             return state
         self.told("lines beside lines")
-        trial = self._extended(state, terms)
-        kept = tuple(term for its in beside if its and not self._by_chance(trial, its, len(beside)) for term in its)
+        trial, tried = self._extended(state, terms), sum(cycles > 2 for _, cycles in places)
+        kept = tuple(term for its in beside if its and not self._by_chance(trial, its, tried) for term in its)
         if not kept:
             return state
         trial = self._judged(trial if kept == terms else self._extended(state, kept))
         if _AS_WELL * trial.heldout_mm > state.heldout_mm:
             return state
-        return trial.entered(step_of(JointLaw.LINE, kept, trial, len(beside), state))
+        return trial.entered(step_of(JointLaw.LINE, kept, trial, tried, state))
 
     def _with_best_constants(self, state: State, law: JointLaw | MotionLaw) -> State:
         """Estimate again the reaches of a law's lost motion, or the knees of its springs, with the noise left by the
@@ -502,12 +515,6 @@ def _pair(joint: int, cycles: int) -> tuple[JointTerm, JointTerm]:
     return JointTerm(JointLaw.LINE, joint, cycles, False), JointTerm(JointLaw.LINE, joint, cycles, True)
 
 
-def _sides(joint: int, cycles: int, lines: Sequence[JointTerm]) -> list[JointTerm]:
-    """Return lines at the counts next to that of a line, except those already in ``lines``."""
-    beside = ((side, term) for side in (-1, 1) for term in _pair(joint, cycles + side))
-    return [replace(term, side=side) for side, term in beside if term not in lines]
-
-
 def _reach(state: State, term: JointTerm) -> float:
     """Return the distance in counts below which lines are unresolved over the turns that a joint made."""
     q = np.concatenate([track.path.at(track.path.stamps.time_s)[0][:, term.joint] for track in state.problem.tracks])
@@ -628,9 +635,8 @@ def _top(grid: Sequence[float], place: int, gains: Sequence[float]) -> float:
     """Return the constant at the top of the parabola through a point of a geometric grid and its neighbours."""
     if not 0 < place < len(grid) - 1:
         return grid[place]
-    less, best, more = gains[place - 1 : place + 2]
-    bend = less - 2.0 * best + more
-    top = 0.5 * (less - more) / bend if bend < 0.0 else 0.0
+    bend, slope, _ = np.polyfit((-1.0, 0.0, 1.0), gains[place - 1 : place + 2], 2).tolist()
+    top = -0.5 * slope / bend if bend < 0.0 else 0.0
     return float(grid[place] * (grid[place + 1] / grid[place]) ** top)
 
 

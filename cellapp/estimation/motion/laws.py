@@ -434,10 +434,7 @@ class JointLaw(Enum):
     WINDUP = "friction_windup", "windup", "rad/Nm", 1e-5
     LINE = "transmission_error", "", "rad", 3e-4
     ONE_CYCLE = "encoder_eccentricity", "", "rad", 3e-4
-    LAG = (
-        *("tracking_lag", "lag", "s", 5e-3),
-        *("delay of a joint behind the others", "a delay moves nothing at rest"),
-    )
+    LAG = "tracking_lag", "lag", "s", 5e-3, "delay of a joint behind the others", "a delay moves nothing at rest"
     COMPLIANCE = "joint_compliance", "compliance", "rad/Nm", 2e-5
     INERTIA = (
         *("inertia", "inertia", "s^2", 1e-3),
@@ -465,6 +462,8 @@ class JointLaw(Enum):
         return made
 
 
+LOADED = (JointLaw.WINDUP, JointLaw.COMPLIANCE)
+"""Laws that depend on torques."""
 _SIDE_SD = 3e-5
 """Prior standard deviation of the modulation of a line: part of its amplitude [rad]."""
 _VIBRATION = (("gain", "s^2"), ("frequency", "Hz"), ("damping", "1"))
@@ -562,11 +561,7 @@ class JointTerm:
     @property
     def needs_torques(self) -> bool:
         """Whether it depends on torques."""
-        return (
-            self.law.needs_torques
-            if isinstance(self.law, MotionLaw)
-            else self.law in (JointLaw.WINDUP, JointLaw.COMPLIANCE)
-        )
+        return self.law.needs_torques if isinstance(self.law, MotionLaw) else self.law in LOADED
 
     def offset(self, state: JointState) -> Array:
         """Return the offset of the joint (n,) per unit of the parameter [rad]."""
@@ -594,9 +589,7 @@ class JointTerm:
             path, time_s = state.course
             at_shape = path.even.at(path.even.lagging(self.joint, self.shape[0])[0], time_s)
             return np.asarray(at_shape + (value - self.shape[0]) * unit)
-        if self.law is JointLaw.VIBRATION and self.part:
-            value -= self.shape[self.part]
-        return np.asarray(value * unit)
+        return np.asarray((value - self.prior_mean) * unit)
 
     def _of_course(self, state: JointState) -> Array:
         """Return ``offset`` for laws that depend on the whole course of a motion."""
