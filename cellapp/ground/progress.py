@@ -237,8 +237,8 @@ class SweepLive:
     state : str
         ``searching``: the beam broke; the arm rests, and the tracker is led to its SMR again. ``unrecorded``: it was
         not found; the arm finishes its way off the record.
-    points, points_missing, samples, samples_missing : int
-        Points of the tracker and samples of the controller that have come, and that did not by their own clocks.
+    points : int
+        Points of the tracker that have come.
     lost_beams : int
         How often the beam broke.
     distance_m, point_age_s : float or None
@@ -252,9 +252,6 @@ class SweepLive:
     state: Literal["moving", "searching", "unrecorded", "done"] = "moving"
     done_s: float = 0.0
     points: int = 0
-    points_missing: int = 0
-    samples: int = 0
-    samples_missing: int = 0
     lost_beams: int = 0
     distance_m: float | None = None
     point_age_s: float | None = None
@@ -269,13 +266,7 @@ class SweepLive:
             words.append(counted(self.lost_beams, "lost beam") + since.get(self.state, ""))
         if self.distance_m is not None:
             words.append(f"SMR {self.distance_m:.3f} m{age}")
-        for count, what, missing in (
-            (self.points, "point", self.points_missing),
-            (self.samples, "sample", self.samples_missing),
-        ):
-            if self.points:
-                words.append(counted(count, what) + (f" ({missing} missing)" if missing else ""))
-        return words
+        return [*words, counted(self.points, "point")] if self.points else words
 
 
 @dataclass(frozen=True)

@@ -90,7 +90,7 @@ class SweepDesign:
         path = joint_path(JointStream(time_s=time_s, q=motion.at(time_s), qd=motion.at(time_s, 1)))
         # without the ends: accelerations need neighbours
         chosen = np.arange(_INDEPENDENT_S, motion.period_s - _INDEPENDENT_S / 2.0, _INDEPENDENT_S)
-        state = state_in_motion(path, chosen, None, torques=False)
+        state = state_in_motion(path, chosen, None)
         # torques at these few times only: a fit would need them at hundreds of times as many
         torque = torques_in_motion(path, chosen, self.masses)
         return self._information(JointState(state.q, state.qd, state.direction, torque))

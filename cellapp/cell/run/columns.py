@@ -602,15 +602,12 @@ def point_faults(columns: Columns, *, dated: bool = False) -> Iterator[Implausib
 def joint_stream(columns: Columns, joints: int) -> JointStream:
     """Convert the samples of an arm for estimation."""
     names = stems("joints", joints)
-    optional = {
-        stem: _matrix(columns, names[stem]) for stem in OPTIONAL_OF_JOINTS if names[stem][0] in columns
-    }  # each has all joints or none: checked on import
     beside = [name for name in columns if name.startswith(BESIDE)]
     return JointStream(
         time_s=columns["time_s"],
         q=_matrix(columns, names["q"]),
+        qd=_matrix(columns, names["qd"]) if names["qd"][0] in columns else None,  # of all joints, or of none
         other_q=_matrix(columns, tuple(beside)) if beside else None,
-        **optional,
     )
 
 
@@ -620,11 +617,7 @@ def point_stream(columns: Columns, splits: tuple[str, ...] | None) -> PointStrea
     if splits is not None and any(splits):
         held_out = columns["split"] == (splits.index("validate") if "validate" in splits else math.inf)
     return PointStream(
-        time_s=columns["time_s"],
-        p_M=_matrix(columns, POINT),
-        sigma_m=columns.get("sigma_m"),
-        quaternion=_matrix(columns, QUATERNION) if QUATERNION[0] in columns else None,
-        held_out=held_out,
+        time_s=columns["time_s"], p_M=_matrix(columns, POINT), sigma_m=columns.get("sigma_m"), held_out=held_out
     )
 
 

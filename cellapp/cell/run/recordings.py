@@ -10,6 +10,7 @@ import json
 import zlib
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -171,20 +172,14 @@ def unpacked(data: bytes, n: int) -> NDArray[np.float64]:
 
 
 _DOCUMENT = "motion_samples"
+_KEPT = ("time_s", "sigma_m", "q", "approach", "p_M", "other_q", "split")
+"""What is stored of samples."""
 
 
 def keep_samples(run: RunFile, samples: Mapping[str, Readings]) -> None:
     """Store samples of recordings, timed by the clocks that the calibration found, in place of earlier ones."""
     content = {
-        arm: {
-            "time_s": its.time_s.tolist(),
-            "sigma_m": None if its.sigma_m is None else its.sigma_m.tolist(),
-            "q": its.q.tolist(),
-            "approach": its.approach.tolist(),
-            "p_M": its.p_M.tolist(),
-            "split": its.split,
-            **({} if its.other_q is None else {"other_q": its.other_q.tolist()}),
-        }
+        arm: {name: np.asarray(value).tolist() for name in _KEPT if (value := getattr(its, name)) is not None}
         for arm, its in samples.items()
     }
     run.write_result(_DOCUMENT, json.dumps(content))
@@ -193,20 +188,15 @@ def keep_samples(run: RunFile, samples: Mapping[str, Readings]) -> None:
 def known_readings(run: RunFile, arm: str) -> Readings:
     """Return the readings of one arm at rest, followed by the samples of its recordings that the calibration stored."""
     measured, text = run.readings(arm), run.read_result(_DOCUMENT)
-    kept = None if text is None else json.loads(text).get(arm)
-    if kept is None:
+    stored = None if text is None else json.loads(text).get(arm)
+    if stored is None:
         return measured
+    kept: dict[str, Any] = {name: np.array(values) for name, values in stored.items() if values is not None}
     first = (1 + [*run.profile.arms].index(arm)) * FIRST_SAMPLE  # samples of two arms are never a common stop
-    samples = Readings(
-        configuration=first + np.arange(len(kept["time_s"])),
-        time_s=np.full(len(kept["time_s"]), np.nan),
-        q=np.array(kept["q"]),
-        approach=np.array(kept["approach"], dtype=np.int8),
-        p_M=np.array(kept["p_M"]),
-        sigma_m=None if kept["sigma_m"] is None else np.array(kept["sigma_m"]),
-        other_q=np.array(kept["other_q"]) if "other_q" in kept else None,
-        split=tuple(kept["split"]),
-    )
+    kept["configuration"] = first + np.arange(len(kept["time_s"]))
+    kept["time_s"] = np.full(len(kept["time_s"]), np.nan)
+    kept["approach"] = kept["approach"].astype(np.int8)
+    samples = Readings(**{**kept, "split": tuple(stored["split"])})
     return joined([measured, samples]) if len(measured) else samples
 
 

@@ -12,7 +12,6 @@ import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
 
 import numpy as np
 import scipy
@@ -45,9 +44,8 @@ from cellapp.estimation.discovery.records import (
     BeforeAfter,
     GapStep,
     HeldOutBeforeAfter,
-    LawRecord,
+    HeldOutPosition,
     MotionDiscoveryResult,
-    MotionEffectResult,
     Place,
 )
 from cellapp.estimation.motion.effects import MotionDiscovery, effects_in_motion
@@ -59,7 +57,7 @@ from cellapp.estimation.motion.identify import (
     identify_from_motion,
     no_gross_errors,
 )
-from cellapp.estimation.motion.laws import JointLaw, TimedPath
+from cellapp.estimation.motion.laws import TimedPath
 from cellapp.estimation.motion.residuals import Stops
 from cellapp.estimation.motion.search_state import MotionEffect
 from cellapp.estimation.motion.streams import Recording
@@ -112,7 +110,7 @@ def calibrate_with_motion(
         if profile.network.kind == "batches":
             arm = train_arm_in_motion(profile, arm, readings[name], fit, job, told)
         known[name] = arm
-        samples[name] = samples_of(fit, len(profile.arms[name].type.joints))
+        samples[name] = samples_of(fit)
     found = calibrate_readings(profile, readings, job, known=known)
     if found.pair is None and len(known) == len(profile.arms) == 2:
         T_M_first, T_M_second = (arm.model.geometry.T_M_B() for arm in found.arms.values())
@@ -142,13 +140,11 @@ def recorded_arm(profile: Profile, name: str, readings: Readings, recordings: Se
     """Collect an arm's recordings and readings at rest; of the readings only the identify split is used."""
     arm, settings = profile.arms[name], profile.calibration
     nominal = nominal_arm(arm)
-    stops, held_out_stops = _stops(readings)
     return RecordedArm(
         nominal,
         recordings,
         tool_unknown=arm.smr.offset == "unknown",
-        stops=stops,
-        held_out_stops=held_out_stops,
+        stops=_stops(readings),
         parameter_set=settings.parameter_set,
         prior_sigma=prior_sigmas(nominal, settings.priors, arm.fixed),
         bodies=bodies_of(arm),
@@ -163,7 +159,7 @@ def calibrate_arm_with_motion(
     """Calibrate one arm from its recordings and, if there are any, from the readings of its identify split."""
     recorded = recorded_arm(profile, name, readings, recordings)
     fit = identify_from_motion(recorded, told)
-    found, some = fit.identification, samples_of(fit, recorded.nominal.joints)
+    found, some = fit.identification, samples_of(fit)
     start = start_from_nominal(recorded.nominal, some.q, some.p_M, tool_unknown=recorded.tool_unknown)
     held_out = readings.take(readings.in_split("validate"))
     in_motion = _errors_in_motion(name, fit)
@@ -182,7 +178,7 @@ def calibrate_arm_with_motion(
     )
 
 
-def samples_of(fit: MotionFit, joints: int, at_rest: Callable[[TimedPath, Array], Array] | None = None) -> Readings:
+def samples_of(fit: MotionFit, at_rest: Callable[[TimedPath, Array], Array] | None = None) -> Readings:
     """Return samples of all recordings, with the joint positions at their times, as readings: of the training points
     and of the held-out blocks. ``at_rest`` maps a path and times (n,) to the joint positions (n, N) at which an arm at
     rest has the points of these times; without it, those of the path are used."""
@@ -193,20 +189,19 @@ def samples_of(fit: MotionFit, joints: int, at_rest: Callable[[TimedPath, Array]
             most = min(most, math.ceil(np.count_nonzero(chosen) * one.track.stamps.period_s / _APART_S))
             rows = _past_reversals(one, thinned(np.flatnonzero(chosen), _TRIED * most))
             parts.append((word, one, thinned(rows, most)))
-    n = sum(len(rows) for *_, rows in parts)
-    times = [(one.track.path, one.track.controller_times(rows, one.offsets_s, one.rate)) for _, one, rows in parts]
+    times = [(one.track.path, one.track.controller_times(rows)) for _, one, rows in parts]
     q = [path.at(time_s)[0] if at_rest is None else at_rest(path, time_s) for path, time_s in times]
     stated = [one.track.sigma_m[rows] for _, one, rows in parts if one.track.sigma_m is not None]
     sides = [path.direction_at(time_s) for path, time_s in times]
     travelled = [path.travel_at(time_s, path.at(time_s)[0]) for path, time_s in times]
     return Readings(
-        configuration=np.arange(n),
+        configuration=np.arange(sum(len(rows) for *_, rows in parts)),
         time_s=np.concatenate([one.track.time_s[rows] for _, one, rows in parts]),
-        q=np.concatenate(q).reshape(n, joints),
-        approach=np.sign(np.rint(np.concatenate(sides))).astype(np.int8).reshape(n, joints),
+        q=np.concatenate(q),
+        approach=np.sign(np.rint(np.concatenate(sides))).astype(np.int8),
         p_M=np.concatenate([one.track.p_M[rows] for _, one, rows in parts]),
         sigma_m=np.concatenate(stated) if len(stated) == len(parts) else None,
-        step=np.concatenate(travelled).reshape(n, joints),
+        step=np.concatenate(travelled),
         other_q=_beside(times),
         split=tuple(word for word, _, rows in parts for _ in rows),
     )
@@ -214,7 +209,7 @@ def samples_of(fit: MotionFit, joints: int, at_rest: Callable[[TimedPath, Array]
 
 def _past_reversals(one: RecordingFit, rows: NDArray[np.intp]) -> NDArray[np.intp]:
     """Return the points at which no joint has just reversed; all points if there is none."""
-    path, time_s = one.track.path, one.track.controller_times(rows, one.offsets_s, one.rate)
+    path, time_s = one.track.path, one.track.controller_times(rows)
     q = path.at(time_s)[0]
     moves = np.ptp(q, axis=0) > _MOVES_RAD if len(q) else np.zeros(q.shape[1], dtype=np.bool_)
     past = (np.abs(path.travel_at(time_s, q)) > _PAST_PLAY_RAD)[:, moves].all(axis=1)
@@ -231,15 +226,14 @@ def _beside(times: Sequence[tuple[TimedPath, Array]]) -> Array | None:
     return np.concatenate([blank if q is None else q for q, blank in zip(found, unknown, strict=True)])
 
 
-def _stops(readings: Readings) -> tuple[Stops | None, NDArray[np.bool_] | None]:
-    """Return the readings at rest for a fit with recordings, and a mask of those held out; None if none may be used."""
+def _stops(readings: Readings) -> Stops | None:
+    """Return the readings at rest for a fit with recordings; None if none may be used."""
     learnt = np.zeros(len(readings), dtype=bool)
     learnt[readings.in_split("identify")] = True
     if not learnt.any():
-        return None, None
+        return None
     approach = readings.approach.astype(np.float64)
-    stops = Stops(readings.q, readings.p_M, coordinate_uncertainty(readings), approach, readings.step)
-    return stops, ~learnt
+    return Stops(readings.q, readings.p_M, coordinate_uncertainty(readings), approach, readings.step, learnt)
 
 
 def _errors_at_rest(nominal: Geometry, found: Geometry, held_out: Readings) -> dict[Stage, StageErrors]:
@@ -276,7 +270,7 @@ def _motion_result(fit: MotionFit, errors: Mapping[Stage, StageErrors]) -> Motio
     play, error, N = fit.half_play.tolist(), fit.half_play_standard_error.tolist(), len(fit.half_play)
     return MotionResult(
         recordings={name: one.result for name, one in fit.recordings.items()},
-        effective_points=fit.effective,
+        effective_points=sum(one.result.effective_points for one in fit.recordings.values()),
         half_play=Estimate.by_name([f"joint {joint}" for joint in range(1, N + 1)], play, error, ["rad"] * N),
         stops_scatter_mm=None if fit.stops_scatter_m is None else fit.stops_scatter_m * 1e3,
         validate_=errors,
@@ -305,7 +299,7 @@ def train_arm_in_motion(
     if len(stops):
         loaded = MeasurementConditions(approach=stops.approach, payload_kg=stops.payload_kg)
         parts = [(stops.q, stops.p_M - arm.model.predict(stops.q, conditions=loaded)), *parts]
-    q, off_M = _joined(parts)
+    q, off_M = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
     in_order = np.arange(float(len(q)))  # in order of time in each recording, by which blocks are cut
     arm = with_networks(profile, arm, q, off_M, in_order, JobSteps(lambda _, words: told(words), job))
     if arm.model.network is None:
@@ -316,23 +310,21 @@ def train_arm_in_motion(
     return replace(arm, validate={**arm.validate, "network": StageErrors(position_mm=summary_mm(mm))})
 
 
-def _joined(parts: Sequence[_Residuals]) -> _Residuals:
-    return np.concatenate([q for q, _ in parts]), np.concatenate([off_M for _, off_M in parts])
-
-
 def _held_out(arm: ArmCalibration, readings: Readings, fit: MotionFit) -> _Residuals:
     """Return the residuals where the other stages are judged: at held-out readings at rest, else in held-out blocks."""
     stops = without(readings.take(readings.in_split("validate")), arm.left_out)
     if len(stops):
         return stops.q, stops.p_M - smr_positions(arm.model.geometry, stops.q)
-    return _joined([_points(fit, one, held_out=True) for one in fit.recordings.values()])
+    parts = [_points(fit, one, held_out=True) for one in fit.recordings.values()]
+    q, off_M = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+    return q, off_M
 
 
 def _points(fit: MotionFit, one: RecordingFit, *, held_out: bool) -> _Residuals:
     """Return the points of a recording without gross errors."""
     track = one.track
     rows = np.flatnonzero(track.held_out if held_out else track.learnt)
-    time_s = track.controller_times(rows, one.offsets_s, one.rate)
+    time_s = track.controller_times(rows)
     q, _ = track.path.at(time_s)
     moved = q - fit.half_play * track.path.direction_at(time_s)
     off_M = track.p_M[rows] - smr_positions(fit.identification.geometry, moved)
@@ -345,8 +337,6 @@ def _points(fit: MotionFit, one: RecordingFit, *, held_out: bool) -> _Residuals:
 
 _AS_IN_MOTION = 1.25
 """Ratio of errors up to which a model at rest predicts as well as that in motion: no search of readings is needed."""
-_SURE = 3.0
-"""Standard errors by which an effect found beside those from recordings must lower the mean squared held-out error."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -363,158 +353,129 @@ class SearchWithRecordings:
     search_arm: ArmSearch = discover_arm
 
     def __call__(self, arm: ArmReadings, steps: JobSteps = UNTOLD) -> ArmFound:
-        """Search one arm; its readings are stops and samples of its recordings."""
-        profile, name = arm.profile, arm.name
+        """Search one arm; its readings are stops and samples of its recordings.
+
+        The arm at rest with effects from recordings must beat the calibrated and the searched arm on held-out readings.
+        The search runs only if these are predicted worse than the recordings in motion: some of the motion effects may
+        then be no law of poses at rest. A model at rest knows only the last motion of a joint. The model of the
+        recordings also knows what earlier reversals left in the joints; its own samples exclude that, those that judge
+        models from other data include it.
+        """
+        if not self.recordings.get(arm.name):
+            return self.search_arm(arm, steps)
+        motion, result = self._in_motion(arm, steps)
+        calibrated, laws = self.calibrated[arm.name], motion.laws
+        own = self._at_rest(arm, motion, laws.joints_with_history)
+        held_out, of_others = (
+            HeldOut.of(its.readings, its.conditions) for its in (own, self._at_rest(arm, motion, laws.joints_at_rest))
+        )
+        found = None
+        if motion.at_rest and len(held_out):
+            error_mm, before = held_out.rms_mm(own.model), of_others.position_mm(calibrated)
+            if error_mm < before.rms:
+                if error_mm >= _AS_IN_MOTION * motion.heldout_after_mm:
+                    found = self.search_arm(arm, steps)
+                if found is None or error_mm < of_others.rms_mm(found.model):
+                    return _beside_motion(
+                        own, motion, held_out, before, result.model_copy(update={"used": True}), steps
+                    )
+        found = found or self.search_arm(arm, steps)
+        sentence = with_not_fitted(found.result.sentence, motion.not_fitted)
+        return replace(found, result=found.result.model_copy(update={"motion": result, "sentence": sentence}))
+
+    def _in_motion(self, arm: ArmReadings, steps: JobSteps) -> tuple[MotionDiscovery, MotionDiscoveryResult]:
+        """Search the recordings of one arm; return also what is stored of it."""
 
         def told(words: str) -> None:
             steps.check()
             steps(0, f"recordings: {words}")
 
-        if not self.recordings.get(name):
-            return self.search_arm(arm, steps)
-        started = time.perf_counter()
-        recorded = recorded_arm(profile, name, self.stops[name], self.recordings[name])
-        at_rest = MotionAtRest.of(recorded, name, self.calibrated, self.stops, told)
-        seconds = time.perf_counter() - started
+        started, name = time.perf_counter(), arm.name
+        recorded = recorded_arm(arm.profile, name, self.stops[name], self.recordings[name])
+        motion = effects_in_motion(recorded, told)
+        return motion, MotionDiscoveryResult(
+            effects=tuple(effect.found for effect in motion.effects),
+            heldout_mm=BeforeAfter(before=motion.heldout_before_mm, after=motion.heldout_after_mm),
+            used=False,
+            seconds=time.perf_counter() - started,
+        )
 
-        @cache
-        def searched() -> ArmFound:
-            return self.search_arm(arm, steps)
+    def _at_rest(
+        self, arm: ArmReadings, motion: MotionDiscovery, joints: Callable[[TimedPath, Array], Array]
+    ) -> ArmReadings:
+        """Return the arm with the geometry and the effects that motion shows and that act at rest, and its stops
+        followed by samples of its recordings, converted by ``joints``."""
+        name, identification, terms = arm.name, motion.fit.identification, motion.terms
+        model = replace(
+            self.calibrated[name],
+            geometry=identification.geometry,
+            effects=terms,
+            network=None,
+            identified=(*identification.estimated.names, *(parameter for term in terms for parameter in term.names)),
+            covariance=motion.covariance,
+            posterior=None,
+        )
+        samples = samples_of(motion.fit, joints)
+        if not len(self.stops[name]):
+            return replace(arm, model=model, readings=samples, conditions=measurement_conditions(samples))
+        # the last motion of a sample is the travel of each joint since its reversal
+        apart = samples.configuration + max(int(its.configuration.max()) + 1 for its in self.stops.values() if len(its))
+        known = {**self.stops, name: joined([self.stops[name], replace(samples, configuration=apart)])}
+        conditions = conditions_of_arms(self.calibrated, known)[name]
+        return replace(arm, model=model, readings=known[name], conditions=conditions)
 
-        if at_rest.stands_beside(lambda: searched().model):
-            return at_rest.discovery(profile, seconds, steps)
-        found = searched()
-        shown = at_rest.result(seconds, used=False)
-        sentence = with_not_fitted(found.result.sentence, at_rest.motion.not_fitted)
-        changes = {"motion": shown, "sentence": sentence}
-        return replace(found, result=found.result.model_copy(update=changes))
 
+def _beside_motion(
+    own: ArmReadings,
+    motion: MotionDiscovery,
+    held_out: HeldOut,
+    before: HeldOutPosition,
+    result: MotionDiscoveryResult,
+    steps: JobSteps,
+) -> ArmFound:
+    """Return the effects from recordings, with those that a search finds in the remaining errors of the readings.
 
-@dataclass(frozen=True, eq=False)
-class MotionAtRest:
-    """Effects from an arm's recordings, its model for poses at rest, and the readings that judge it.
-
-    ``readings`` (n,) are stops, and samples of the recordings converted to poses at rest. A model at rest knows only
-    the last motion of a joint. The model of the recordings also knows what earlier reversals left in the joints; the
-    samples exclude that. ``held_out_of_others``, which judges models from other data, includes it.
+    ``before`` are the errors of the calibrated arm. Raise ``Cancelled`` on request.
     """
-
-    name: str
-    motion: MotionDiscovery
-    calibrated: ArmModel
-    model: ArmModel
-    readings: Readings
-    conditions: MeasurementConditions
-    held_out_of_others: HeldOut
-
-    @classmethod
-    def of(
-        cls,
-        arm: RecordedArm,
-        name: str,
-        calibrated: Mapping[str, ArmModel],
-        stops: Mapping[str, Readings],
-        told: Told = ignore_words,
-    ) -> MotionAtRest:
-        """Search the recordings of one arm. Raise as ``effects_in_motion``."""
-        motion, before = effects_in_motion(arm, told), calibrated[name]
-        own, others = (
-            _with_stops(name, samples_of(motion.fit, before.geometry.joints, joints), calibrated, stops)
-            for joints in (motion.laws.joints_with_history, motion.laws.joints_at_rest)
-        )
-        return cls(name, motion, before, _model(before, motion), *own, HeldOut.of(*others))
-
-    @cached_property
-    def held_out(self) -> HeldOut:
-        """Held-out stops and samples."""
-        return HeldOut.of(self.readings, self.conditions)
-
-    @property
-    def effects(self) -> tuple[MotionEffect, ...]:
-        """Effects that serve poses at rest."""
-        return tuple(effect for effect in self.motion.effects if effect.at_rest)
-
-    def stands_beside(self, searched: Callable[[], ArmModel]) -> bool:
-        """Return whether the model at rest with effects beats the calibrated and the searched model on held-out
-        readings.
-
-        The search runs only if held-out readings are predicted worse than the recordings in motion: some of the motion
-        effects may then be no law of poses at rest.
-        """
-        if not self.motion.terms or not len(self.held_out):
-            return False
-        error_mm, others = self.held_out.rms_mm(self.model), self.held_out_of_others
-        if error_mm >= others.rms_mm(self.calibrated):
-            return False
-        return error_mm < _AS_IN_MOTION * self.motion.heldout_after_mm or error_mm < others.rms_mm(searched())
-
-    def result(self, seconds: float, *, used: bool) -> MotionDiscoveryResult:
-        """Return the effects from the recordings, as stored in results."""
-        return MotionDiscoveryResult(
-            effects=tuple(_result(effect) for effect in self.motion.effects),
-            heldout_mm=BeforeAfter(before=self.motion.heldout_before_mm, after=self.motion.heldout_after_mm),
-            used=used,
-            seconds=seconds,
-        )
-
-    def discovery(self, profile: Profile, seconds: float, steps: JobSteps) -> ArmFound:
-        """Return the effects from recordings, with those that a search finds in the remaining errors of the readings.
-
-        ``seconds`` is the time of the search of the recordings. Raise ``Cancelled`` on request.
-        """
-        q = self.model.true_joints(self.readings.q, conditions=self.conditions)
-        bare, readings = replace(self.model, effects=(), covariance=None), replace(self.readings, q=q)
-        rest = discover_arm(ArmReadings(profile, self.name, bare, readings, self.conditions), steps)
-        if not (rest.terms and _surely_better(self.held_out, self.model, _joined_models(rest.model, self.model))):
-            rest = _without_terms(rest)
-        return self._with_rest(rest, seconds)
-
-    def _with_rest(self, rest: ArmFound, seconds: float) -> ArmFound:
-        """Return the discovery of the arm; ``rest`` was found at the joint positions corrected by its recordings."""
-        result, model = rest.result, _joined_models(rest.model, self.model) if rest.terms else self.model
-        before, by_motion = (
-            held_out.position_mm(one)
-            for held_out, one in ((self.held_out_of_others, self.calibrated), (self.held_out, self.model))
-        )
-        its, names = f"arm {self.name}: ", _titles(self.effects)
-        steps = [GapStep(what="calibrated geometry", effect="", heldout_mm=before.rms)]
-        steps.append(GapStep(what="effects that recordings show", effect="", heldout_mm=by_motion.rms))
-        changed = result.model_copy(
-            update={
-                "accepted": (*result.accepted, *(_accepted(effect) for effect in self.effects)),
-                "motion": self.result(seconds, used=True),
-                "heldout_mm": BeforeAfter(before=before.rms, after=before.rms),
-                "heldout_position_mm": HeldOutBeforeAfter(before=before, after=before),
-                "seconds": seconds + (result.seconds or 0.0),
-            }
-        )
-        return replace(rest, result=changed, terms=(*rest.terms, *self.motion.terms)).with_model(
-            model,
-            self.held_out,
-            steps=(*steps, *result.steps[1:]),
-            verdict="explained" if result.verdict == "nothing missing" else result.verdict,
-            sentence=with_not_fitted(
-                f"{its}{names}, by its recordings of motion; of the rest: {result.sentence.removeprefix(its)}",
-                self.motion.not_fitted,
-            ),
-            uncertainty_mm=None,
-        )
+    model = own.model
+    q = model.true_joints(own.readings.q, conditions=own.conditions)
+    bare = replace(model, effects=(), covariance=None)
+    rest = discover_arm(replace(own, model=bare, readings=replace(own.readings, q=q)), steps)
+    with_rest = _joined_models(rest.model, model) if rest.terms else model
+    if rest.terms and not held_out.predicts_worse(model, with_rest):
+        rest, with_rest = _without_terms(rest), model
+    found, by_motion, its = rest.result, held_out.rms_mm(model), f"arm {own.name}: "
+    changed = found.model_copy(
+        update={
+            "accepted": (*found.accepted, *map(_accepted, motion.at_rest)),
+            "motion": result.model_copy(update={"used": True}),
+            "heldout_mm": BeforeAfter(before=before.rms, after=before.rms),
+            "heldout_position_mm": HeldOutBeforeAfter(before=before, after=before),
+            "seconds": (result.seconds or 0.0) + (found.seconds or 0.0),
+        }
+    )
+    of_rest = f"of the rest: {found.sentence.removeprefix(its)}"
+    sentence = f"{its}{_titles(motion.terms)}, by its recordings of motion; {of_rest}"
+    return replace(rest, result=changed, terms=(*rest.terms, *motion.terms)).with_model(
+        with_rest,
+        held_out,
+        steps=(
+            GapStep(what="calibrated geometry", effect="", heldout_mm=before.rms),
+            GapStep(what="effects that recordings show", effect="", heldout_mm=by_motion),
+            *found.steps[1:],
+        ),
+        verdict="explained" if found.verdict == "nothing missing" else found.verdict,
+        sentence=with_not_fitted(sentence, motion.not_fitted),
+        uncertainty_mm=None,
+    )
 
 
-def _titles(named: Sequence[MotionEffect | EffectTerm]) -> str:
+def _titles(named: Sequence[EffectTerm]) -> str:
     return " and ".join(EFFECTS[one.slug].title for one in named)
-
-
-def _surely_better(held_out: HeldOut, model: ArmModel, other: ArmModel) -> bool:
-    """Return whether another model predicts held-out readings significantly better, by pairs of squared errors."""
-    gain = held_out.errors_m(model) ** 2 - held_out.errors_m(other) ** 2
-    return bool(np.mean(gain) > _SURE * np.std(gain) / np.sqrt(len(gain)))
 
 
 def _without_terms(rest: ArmFound) -> ArmFound:
     """Return the search with all its terms rejected."""
-    if not rest.terms:
-        return rest
     result = rest.result
     changes = {"accepted": (), "verdict": "nothing missing", "contradictions": (), "steps": result.steps[:1]}
     sentence = f"{_titles(rest.terms)} would not predict held-out readings surely better, and is left out"
@@ -538,49 +499,6 @@ def _joined_models(rest: ArmModel, by_motion: ArmModel) -> ArmModel:
 
 def _accepted(effect: MotionEffect) -> AcceptedEffect:
     """Convert an effect from recordings to an accepted effect of the discovery."""
-    return accepted_effect(
-        effect.term(),
-        Place(joints=effect.joints, acts_on=tuple(f"joint {joint}" for joint in effect.joints)),
-        effect.evidence,
-        effect.posterior,
-    )
-
-
-def _with_stops(
-    name: str, samples: Readings, calibrated: Mapping[str, ArmModel], stops: Mapping[str, Readings]
-) -> tuple[Readings, MeasurementConditions]:
-    """Return the stops of an arm followed by samples of its recordings; the last motion of a sample is the travel of
-    each joint since its reversal."""
-    if not len(stops[name]):
-        return samples, measurement_conditions(samples)
-    apart = samples.configuration + max(int(its.configuration.max()) + 1 for its in stops.values() if len(its))
-    known = {**stops, name: joined([stops[name], replace(samples, configuration=apart)])}
-    return known[name], conditions_of_arms(calibrated, known)[name]
-
-
-def _model(calibrated: ArmModel, motion: MotionDiscovery) -> ArmModel:
-    """Return the arm with the geometry and the effects that motion shows and that act at rest."""
-    identification = motion.fit.identification
-    return replace(
-        calibrated,
-        geometry=identification.geometry,
-        effects=motion.terms,
-        network=None,
-        identified=(*identification.estimated.names, *(name for term in motion.terms for name in term.names)),
-        covariance=motion.covariance,
-        posterior=None,
-    )
-
-
-def _result(effect: MotionEffect) -> MotionEffectResult:
-    errors = effect.standard_errors.tolist()
-    return MotionEffectResult(
-        effect=effect.slug,
-        title=EFFECTS[effect.slug].title if effect.slug in EFFECTS else JointLaw(effect.slug).title,
-        joints=effect.joints,
-        parameters=Estimate.by_name(effect.names, effect.values.tolist(), errors, effect.units),
-        evidence=effect.evidence,
-        only_motion=effect.only_motion or None,
-        at_rest=effect.at_rest,
-        law=LawRecord(name=effect.form, constants=effect.constants) if effect.at_rest else None,
-    )
+    joints = effect.found.joints
+    where = Place(joints=joints, acts_on=tuple(f"joint {joint}" for joint in joints))
+    return accepted_effect(effect.term(), where, effect.found.evidence, effect.posterior)

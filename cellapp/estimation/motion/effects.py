@@ -25,36 +25,37 @@ import numpy as np
 import scipy
 
 from cellapp.estimation.calibration.least_squares import solve_psd
-from cellapp.estimation.motion.fit import Fittings, Solution, Source, allow_for_missing, normal_equations, solve
+from cellapp.estimation.motion.fit import Solution, Source, allow_for_missing, normal_equations, solve
 from cellapp.estimation.motion.identify import MotionFit, RecordedArm, held_out_rms_mm, motion_fit, motion_problem
-from cellapp.estimation.motion.laws import Fading, JointLaw, JointLaws, JointTerm, Knee, of_all_joints, state_in_motion
-from cellapp.estimation.motion.residuals import residuals, whitening_filter
+from cellapp.estimation.motion.laws import (
+    LOADED,
+    Fading,
+    JointLaw,
+    JointLaws,
+    JointTerm,
+    Knee,
+    of_all_joints,
+    state_in_motion,
+)
+from cellapp.estimation.motion.residuals import MotionProblem, residuals, whitening_filter
 from cellapp.estimation.motion.search_state import (
     CONFOUNDED,
     FREQUENCIES,
     ONLY_MOTION,
     SHOWN,
+    LawStep,
     MotionEffect,
-    SearchStep,
     State,
     beside_others,
     effects_of,
-    has,
     is_improbable,
-    lagging_joints,
     log_chance,
-    places_of,
     reshaped,
     settled,
-    shown,
-    started,
-    statistic_of,
+    step_of,
     strongest_vibration,
-    terms_of,
     tested,
-    values_of,
     white_residuals,
-    with_step,
 )
 from cellapp.ground.errors import tried
 from cellapp.ground.progress import Told, ignore_words
@@ -103,7 +104,12 @@ class MotionDiscovery:
     @property
     def terms(self) -> tuple[EffectTerm, ...]:
         """Terms for an arm model that serve commands at rest."""
-        return tuple(effect.term() for effect in self.effects if effect.at_rest and effect.names)
+        return tuple(effect.term() for effect in self.at_rest)
+
+    @property
+    def at_rest(self) -> tuple[MotionEffect, ...]:
+        """Effects that serve commands at rest."""
+        return tuple(effect for effect in self.effects if effect.found.at_rest)
 
 
 def effects_in_motion(arm: RecordedArm, told: Told = ignore_words) -> MotionDiscovery:
@@ -113,7 +119,7 @@ def effects_in_motion(arm: RecordedArm, told: Told = ignore_words) -> MotionDisc
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    problem: Fittings
+    problem: MotionProblem
     told: Told
     own: tuple[MotionLaw, ...] = ()
     """Laws of plug-ins that depend on speeds."""
@@ -134,191 +140,167 @@ class _Search:
 
     def run(self) -> MotionDiscovery:
         """Add laws of all joints and lines until chance explains the rest."""
-        state = self._state(self.problem.without_terms(), None)
-        state = _whitened(state)
-        first_mm, steps = state.heldout_mm, list[SearchStep]()
-        loaded = (JointLaw.WINDUP, JointLaw.COMPLIANCE) if self.problem.masses is not None else ()
+        state = _whitened(self._state(self.problem.with_terms(()), None))
+        first_mm = state.heldout_mm
+        loaded = LOADED if self.problem.masses is not None else ()
         own = [law for law in self.own if loaded or not law.needs_torques]
-        laws: list[JointLaw | MotionLaw] = [
-            JointLaw.PLAY,
-            JointLaw.LAG,
-            JointLaw.INERTIA,
-            JointLaw.ONE_CYCLE,
-            *loaded,
-            *own,
-        ]
-        while True:
-            found = (
-                self._law(state, laws, steps)
-                or self._tried("lines", partial(self._lines, state, steps))
-                or self._tried("vibration of a joint", partial(self._vibration, state, steps))
-            )
-            if found is None:
-                break
-            state, step = found
-            steps = with_step(steps, step)
-            while step.law is JointLaw.LINE:  # laws were tried just before
-                more = self._tried("lines", partial(self._lines, state, steps))
-                if more is None:
-                    break
-                state, step = more
-                steps = with_step(steps, step)
+        laws: list[JointLaw | MotionLaw] = [JointLaw.PLAY, JointLaw.LAG, JointLaw.INERTIA, JointLaw.ONE_CYCLE]
+        laws += [*loaded, *own]
+        while found := (
+            self._law(state, laws)
+            or self._all_lines(state)
+            or self._tried("vibration of a joint", partial(self._vibration, state))
+        ):
+            state, law = found
             state = self._judged_to_its_end(state)
-            better = self._tried("constants", partial(self._with_best_constants, state, steps, step.law))
-            state, steps = better or (state, steps)
-            if step.law is JointLaw.INERTIA:
-                better = self._tried("time constants", partial(self._with_time_constants, state, steps))
-                state, steps = better or (state, steps)
+            state = self._tried("constants", partial(self._with_best_constants, state, law)) or state
+            if law is JointLaw.INERTIA:
+                state = self._tried("time constants", partial(self._with_time_constants, state)) or state
         for what, change in (
             ("one lag", self._with_one_lag),
             ("exact counts of lines", self._with_exact_counts),
             ("lines beside lines", self._with_sides),
-            ("", self._without_chance),
+            ("the model without laws of chance", self._without_chance),
             ("fewer terms", self._simpler),
         ):
-            changed = self._tried(what, partial(change, state, steps)) if what else change(state, steps)
-            state, steps = changed or (state, steps)
-        return self._concluded(state, steps, first_mm)
+            state = self._tried(what, partial(change, state)) or state
+        return self._concluded(state, first_mm)
 
-    def _concluded(self, state: State, steps: list[SearchStep], first_mm: float) -> MotionDiscovery:
+    def _concluded(self, state: State, first_mm: float) -> MotionDiscovery:
         """Fit the final model without filters, and state its effects."""
-        steps = [step if step.law is JointLaw.LINE else beside_others(state, step) for step in steps]
-        final, steps = self._settled(self._patient._unwhitened(state, self._patient._plain(state)), steps)
+        steps = [step if step.law is JointLaw.LINE else beside_others(state, step) for step in state.steps]
+        final = replace(self._patient._unwhitened(state, self._patient._plain(state)), steps=tuple(steps))
+        final = self._settled(final)
         # with lags only the sum of an offset and their mean is known: leave it as it is
-        late = has(steps, JointLaw.LAG) or has(steps, JointLaw.TIME_CONSTANT)
+        late = final.has(JointLaw.LAG) or final.has(JointLaw.TIME_CONSTANT)
         freed = allow_for_missing(final.problem, final.solution, with_clocks=not late)
-        fit = motion_fit(final.problem, freed)
-        found_effects = effects_of(final, steps)
-        effects = tuple(effect for effect, _ in found_effects)
+        effects = effects_of(final)
         stays, moves = (
-            tuple(
-                pair
-                for effect, terms in found_effects
-                if effect.at_rest is at_rest
-                for pair in zip(terms, effect.values.tolist(), strict=True)
-            )
+            tuple(pair for effect in effects if effect.found.at_rest is at_rest for pair in effect.valued)
             for at_rest in (True, False)
         )
-        places = [*range(final.problem.layout.geometric), *places_of(final, [term for term, _ in stays])]
-        covariance = final.solution.noise.covariance[np.ix_(places, places)]
-        laws = JointLaws(stays, moves, final.problem.masses)
-        missed = tuple(dict.fromkeys(self.not_fitted))
-        return MotionDiscovery(fit, effects, first_mm, final.heldout_mm, covariance, laws, missed)
+        places = [*range(final.problem.geometric), *final.places_of([term for term, _ in stays])]
+        return MotionDiscovery(
+            motion_fit(final.problem, freed),
+            effects,
+            first_mm,
+            final.heldout_mm,
+            final.solution.noise.covariance[np.ix_(places, places)],
+            JointLaws(stays, moves, final.problem.masses),
+            tuple(dict.fromkeys(self.not_fitted)),
+        )
 
     def _tried(self, what: str, candidate: Callable[[], Found | None]) -> Found | None:
         return tried(what, candidate, self.not_fitted)
 
-    def _with_exact_counts(self, state: State, steps: list[SearchStep]) -> tuple[State, list[SearchStep]]:
+    def _with_exact_counts(self, state: State) -> State:
         """Move lines to the counts that fit best beside all other terms: early lines entered before these were known.
 
         Lines of one joint that are unresolved over its turns are merged into the stronger one.
         """
         for _ in range(_COUNT_ROUNDS):
-            lines = terms_of(JointLaw.LINE, steps)[::2]
+            lines = state.terms_of(JointLaw.LINE)[::2]
             better: dict[tuple[int, int], int | None] = {}
             for term in lines:
-                if (term.joint, term.cycles) in better:
+                if term.place in better:
                     continue
                 self.told(f"cycles of lines of joint {term.joint + 1}")
-                near = _near(state, term, lines)
-                values = state.solution.values.copy()
-                values[places_of(state, [t for line in near for t in _pair(line.joint, line.cycles)])] = 0.0
-                ((power,), _) = line_powers(state.problem, replace(state.solution, values=values), [term.joint])
-                reach = np.abs(np.arange(len(power)) - term.cycles) <= _reach(state, term)
-                power = np.where(reach & (np.arange(len(power)) > 1), power, 0.0)
-                count = int(np.argmax(power))
-                if has(steps, JointLaw.ONE_CYCLE) and power[2] > power[count] - _AS_LIKELY:
-                    count = 2  # of the encoder disc with the one-cycle error
-                better.update({(line.joint, line.cycles): None for line in near})
-                better[term.joint, term.cycles] = count
+                reach = _reach(state, term)
+                near = [t for t in lines if t.joint == term.joint and abs(t.cycles - term.cycles) <= 1.5 * reach]
+                better |= {line.place: None for line in near}
+                better[term.place] = self._best_count(state, term, near, reach)
             if all(cycles == count for (_, cycles), count in better.items()):
                 break
-            steps = [_recounted(step, better) for step in steps]
-            steps = [step for step in steps if step.terms]
-            state = self._refitted(state, steps)
-        return state, steps
+            state = self._refitted(state, [_recounted(step, better) for step in state.steps])
+        return state
 
-    def _with_sides(self, state: State, steps: list[SearchStep]) -> tuple[State, list[SearchStep]]:
+    def _best_count(self, state: State, term: JointTerm, near: Sequence[JointTerm], reach: float) -> int:
+        """Return the count with most power in the residuals without the lines ``near`` a line, within its reach."""
+        values = state.solution.values.copy()
+        values[state.places_of([wave for line in near for wave in _pair(*line.place)])] = 0.0
+        ((power,), _) = line_powers(state.problem, replace(state.solution, values=values), [term.joint])
+        power = np.where((np.abs(_COUNTS - term.cycles) <= reach) & (_COUNTS > 1), power, 0.0)
+        count = int(np.argmax(power))
+        # of the encoder disc with the one-cycle error
+        return 2 if state.has(JointLaw.ONE_CYCLE) and power[2] > power[count] - _AS_LIKELY else count
+
+    def _with_sides(self, state: State) -> State:
         """Add lines of the neighbouring counts if these clearly fit better: teeth whose amplitude is modulated by the
         run-out of a gear, or counts that are not whole."""
-        lines = terms_of(JointLaw.LINE, steps)
-        beside = [_sides(*place, lines) for place in dict.fromkeys(term.place for term in lines) if place[1] > 2]
+        places = dict.fromkeys(term.place for term in state.terms_of(JointLaw.LINE))
+        taken, beside = set(places), list[list[JointTerm]]()
+        for joint, cycles in places:
+            free = [side for side in (-1, 1) if cycles > 2 and (joint, cycles + side) not in taken]
+            taken |= {(joint, cycles + side) for side in free}
+            beside.append([replace(term, side=side) for side in free for term in _pair(joint, cycles + side)])
         terms = tuple(term for its in beside for term in its)
         if not terms:
-            return state, steps
+            return state
         self.told("lines beside lines")
-        trial = self._extended(state, terms)
-        kept = [its for its in beside if its and not self._by_chance(trial, its, len(beside))]
+        trial, tried = self._extended(state, terms), sum(cycles > 2 for _, cycles in places)
+        kept = tuple(term for its in beside if its and not self._by_chance(trial, its, tried) for term in its)
         if not kept:
-            return state, steps
-        if len(kept) < sum(map(bool, beside)):
-            terms = tuple(term for its in kept for term in its)
-            trial = self._extended(state, terms)
-        trial = self._judged(trial)
+            return state
+        trial = self._judged(trial if kept == terms else self._extended(state, kept))
         if _AS_WELL * trial.heldout_mm > state.heldout_mm:
-            return state, steps
-        statistic = statistic_of(trial, terms)
-        log_p = log_chance(statistic, len(terms), len(beside))
-        return trial, [*steps, SearchStep(JointLaw.LINE, terms, statistic, log_p, state.heldout_mm, trial.heldout_mm)]
+            return state
+        return trial.entered(step_of(JointLaw.LINE, kept, trial, tried, state))
 
-    def _with_best_constants(
-        self, state: State, steps: list[SearchStep], law: JointLaw | MotionLaw
-    ) -> tuple[State, list[SearchStep]]:
+    def _with_best_constants(self, state: State, law: JointLaw | MotionLaw) -> State:
         """Estimate again the reaches of a law's lost motion, or the knees of its springs, with the noise left by the
         law: the residuals before contained it as noise."""
-        known = terms_of(law, steps)
+        known = state.terms_of(law)
         parts = [term for term in known if term.refines]
         if not parts or not isinstance(law, JointLaw):
-            return state, steps
-        rest = tuple(term for term in state.problem.layout.terms if term not in parts)
-        values = np.delete(state.solution.values, places_of(state, parts))
+            return state
+        rest = tuple(term for term in state.problem.terms if term not in parts)
+        values = np.delete(state.solution.values, state.places_of(parts))
         self.told(f"constants of {law.value.replace('_', ' ')}")
-        problem = state.problem.without_terms().with_terms(rest)
-        better = refining_terms(problem, replace(state.solution, values=values), law)
+        better = refining_terms(state.problem.with_terms(rest), replace(state.solution, values=values), law)
         if set(better) == set(parts):
-            return state, steps
-        terms = tuple(term for term in known if not term.refines) + better
-        changed = [replace(step, terms=terms) if step.law is law else step for step in steps]
-        trial = self._judged_to_its_end(self._refitted(state, changed))
-        return (trial, changed) if trial.heldout_mm < state.heldout_mm else (state, steps)
+            return state
+        terms = [*(term for term in known if not term.refines), *better]
+        trial = self._judged_to_its_end(self._refitted(state, state.steps_with({law: terms})))
+        return trial if trial.heldout_mm < state.heldout_mm else state
 
-    def _with_time_constants(self, state: State, steps: list[SearchStep]) -> tuple[State, list[SearchStep]]:
-        """Replace inertia by a time constant at joints that accelerations turn against a spring, if it fits better."""
-        step = steps[-1]
-        values, covariance = values_of(state, step.terms)
-        late = lagging_joints(step.terms, values, np.sqrt(np.diag(covariance)), SHOWN)
+    def _with_time_constants(self, state: State) -> State:
+        """Replace inertia by a time constant at joints that accelerations turn against the sense of a spring, if that
+        fits better: a lag of time constant T adds ``T^2 qdd / 2`` to a delay."""
+        step = state.steps[-1]
+        values, covariance = state.values_of(step.terms)
+        late = tuple(
+            JointTerm(JointLaw.TIME_CONSTANT, term.joint, shape=(math.sqrt(-2.0 * value),))
+            for term, value, error in zip(step.terms, values.tolist(), np.sqrt(np.diag(covariance)).tolist())
+            if value < -SHOWN * error
+        )
         if not late:
-            return state, steps
-        other = {term.joint for term in late}
-        kept = replace(step, terms=tuple(term for term in step.terms if term.joint not in other))
-        beside = [*steps[:-1], *([kept] if kept.terms else []), replace(step, law=JointLaw.TIME_CONSTANT, terms=late)]
-        trial, beside = self._settled(self._refitted(state, beside), beside)
-        if trial.heldout_mm > step.before_mm:
-            return state, steps
-        return self._with_one_lag(trial, beside)
+            return state
+        joints = {term.joint for term in late}
+        steps = state.steps_without([term for term in step.terms if term.joint in joints])
+        steps.append(replace(step, law=JointLaw.TIME_CONSTANT, terms=late))
+        trial = self._settled(self._refitted(state, steps))
+        return state if trial.heldout_mm > step.before_mm else self._with_one_lag(trial)
 
-    def _with_one_lag(self, state: State, steps: list[SearchStep]) -> tuple[State, list[SearchStep]]:
+    def _with_one_lag(self, state: State) -> State:
         """Give all joints time constants, no further delays, and twist under acceleration only at vibrating joints, if
         that fits as well: the simpler of two explanations."""
-        late = terms_of(JointLaw.TIME_CONSTANT, steps)
+        late = state.terms_of(JointLaw.TIME_CONSTANT)
         if not late:
-            return state, steps
+            return state
         usual, own = float(np.median([term.shape[0] for term in late])), {term.joint: term for term in late}
-        joints = range(state.problem.layout.parameters.joints)
-        everywhere = tuple(own.get(joint, replace(late[0], joint=joint, shape=(usual,))) for joint in joints)
-        springs = {term.joint for term in terms_of(JointLaw.VIBRATION, steps)}
-        twisted = tuple(JointTerm(JointLaw.INERTIA, joint) for joint in sorted(springs))
-        terms: dict[JointLaw | MotionLaw, tuple[JointTerm, ...]]
-        terms = {JointLaw.LAG: (), JointLaw.INERTIA: twisted, JointLaw.TIME_CONSTANT: everywhere}
-        simple = [replace(step, terms=terms.get(step.law, step.terms)) for step in steps]
-        simple = [step for step in simple if step.terms]
-        trial, simple = self._settled(self._refitted(state, simple), simple)
-        return (trial, simple) if trial.heldout_mm < _AS_WELL * state.heldout_mm else (state, steps)
+        joints = range(state.problem.parameters.joints)
+        everywhere = [own.get(joint, replace(late[0], joint=joint, shape=(usual,))) for joint in joints]
+        springs = sorted({term.joint for term in state.terms_of(JointLaw.VIBRATION)})
+        twisted = [JointTerm(JointLaw.INERTIA, joint) for joint in springs]
+        simple: dict[JointLaw | MotionLaw, list[JointTerm]]
+        simple = {JointLaw.LAG: [], JointLaw.INERTIA: twisted, JointLaw.TIME_CONSTANT: everywhere}
+        trial = self._settled(self._refitted(state, state.steps_with(simple)))
+        return trial if trial.heldout_mm < _AS_WELL * state.heldout_mm else state
 
-    def _vibration(self, state: State, steps: list[SearchStep]) -> tuple[State, SearchStep] | None:
-        """Return the joint vibration that is least likely to be chance; None if there is none."""
-        taken = {term.joint for term in terms_of(JointLaw.VIBRATION, steps)}
-        joints = state.problem.layout.parameters.joints
+    def _vibration(self, state: State) -> tuple[State, JointLaw] | None:
+        """Return the state with the joint vibration that is least likely to be chance; None if there is none."""
+        taken = {term.joint for term in state.terms_of(JointLaw.VIBRATION)}
+        joints = state.problem.parameters.joints
         if len(taken) == joints:
             return None
         power, terms = strongest_vibration(state.problem, state.solution, sorted(taken))
@@ -326,222 +308,204 @@ class _Search:
         if power < math.log(tried / _CHANCE):
             return None
         self.told(f"vibration of joint {terms[0].joint + 1}")
-        step = SearchStep(JointLaw.VIBRATION, terms, 0.0, 0.0, state.heldout_mm, math.nan)
-        trial, (step,) = self._settled(self._extended(state, terms), [step])
-        statistic = statistic_of(trial, step.terms)
-        log_p = log_chance(statistic, 1, tried)
-        if log_p > math.log(_CHANCE) or not shown(trial, JointLaw.VIBRATION, [step]):
+        trial = self._extended(state, terms)
+        trial = self._settled(trial.entered(step_of(JointLaw.VIBRATION, terms, trial, tried, state)), first=-1)
+        step = step_of(JointLaw.VIBRATION, trial.steps[-1].terms, trial, tried, state)
+        if step.log_p > math.log(_CHANCE) or not replace(trial, steps=(step,)).shown(JointLaw.VIBRATION):
             return None
-        trial = self._judged(trial)
-        if _AS_WELL * trial.heldout_mm > state.heldout_mm:
+        judged = self._judged(trial)
+        if _AS_WELL * judged.heldout_mm > state.heldout_mm:
             return None
-        return trial, replace(step, statistic=statistic, log_p=log_p, after_mm=trial.heldout_mm)
+        return replace(judged, steps=judged.steps[:-1]).entered(step), JointLaw.VIBRATION
 
-    def _settled(self, state: State, steps: list[SearchStep]) -> tuple[State, list[SearchStep]]:
-        """Repeat the fit with updated shapes of ``steps`` until these settle.
+    def _settled(self, state: State, first: int = 0) -> State:
+        """Repeat the fit with updated shapes of the steps from the ``first`` on, until these settle.
 
         Shapes that the recordings hardly determine may not: the round with the least held-out error counts then, and
         what was not settled is noted.
         """
-        best = state, steps
+        best = state
         for _ in range(_SHAPED_ROUNDS):
-            before = [step.terms for step in steps]
-            after = [reshaped(terms, values_of(state, terms)[0].tolist()) for terms in before]
-            if all(settled(new, old) for new, old in zip(after, before)):
-                return state, steps
-            steps = [replace(step, terms=terms) for step, terms in zip(steps, after)]
-            renamed = {old: new for step, terms in zip(steps, before) for old, new in zip(terms, step.terms)}
-            terms = tuple(renamed.get(term, term) for term in state.problem.layout.terms)
+            before = [term for step in state.steps[first:] for term in step.terms]
+            after = reshaped(before, state.values_of(before)[0].tolist())
+            if settled(after, before):
+                return state
+            renamed = dict(zip(before, after, strict=True))
             self.told("shapes of laws")
-            state = self._state(state.problem.with_shapes(terms), started(state, terms))
-            best = min(best, (state, steps), key=lambda one: one[0].heldout_mm)
-        shaped = dict.fromkeys(step.law.value for step in steps if any(term.shape for term in step.terms))
-        self.not_fitted.append(f"exact shape of {', '.join(shaped)}")
+            steps = [replace(one, terms=tuple(renamed.get(term, term) for term in one.terms)) for one in state.steps]
+            state = self._refitted(state, steps)
+            best = min(best, state, key=lambda one: one.heldout_mm)
+        moving = dict.fromkeys(new.law.value for new, old in renamed.items() if not settled([new], [old]))
+        self.not_fitted.append(f"exact shape of {', '.join(moving)}")
         return best
 
-    def _without_chance(self, state: State, steps: list[SearchStep]) -> tuple[State, list[SearchStep]]:
+    def _without_chance(self, state: State) -> State:
         """Remove laws, and refining parts of laws, that entered early and that chance explains beside all others."""
-        for entered in list(steps):  # one by one: each vibrating joint has its own step
-            step = entered
+        for step in state.steps:  # one by one: each vibrating joint has its own step
             if step.law is JointLaw.LINE:
                 continue
             parts = [term for term in step.terms if term.refines]
             if parts and isinstance(step.law, JointLaw) and self._by_chance(state, parts, alternatives(step.law)):
                 step = replace(step, terms=tuple(term for term in step.terms if not term.refines))
-                steps = [step if one is entered else one for one in steps]
-                state = self._refitted(state, steps)
+                state = self._refitted(state, state.steps_without(parts))
             by_chance = self._by_chance(state, step.terms) or is_improbable(state, beside_others(state, step))
-            if by_chance or not shown(state, step.law, steps):
-                steps = [one for one in steps if one is not step]
-                state = self._refitted(state, steps)
-        return state, steps
+            if by_chance or not state.shown(step.law):
+                state = self._refitted(state, state.steps_without(step.terms))
+        return state
 
-    def _simpler(self, state: State, steps: list[SearchStep]) -> tuple[State, list[SearchStep]]:
+    def _simpler(self, state: State) -> State:
         """Simplify lost motion (sudden, without a part that grows with load) and springs (one stiffness) if that fits
         as well: lines and elastic joints look like either before they are part of the fit."""
         for law in (JointLaw.WINDUP, JointLaw.PLAY, JointLaw.COMPLIANCE):
-            kept: list[tuple[JointTerm, ...]] = [tuple(term for term in terms_of(law, steps) if not term.refines)]
-            if law is JointLaw.WINDUP and has(steps, JointLaw.PLAY):
-                kept.append(())
-            for fewer in kept:
-                if len(fewer) == len(terms_of(law, steps)):
+            plain = [term for term in state.terms_of(law) if not term.refines]
+            for fewer in (plain, []) if law is JointLaw.WINDUP and state.has(JointLaw.PLAY) else (plain,):
+                if len(fewer) == len(state.terms_of(law)):
                     continue
                 self.told(f"{law.value.replace('_', ' ')} with fewer terms")
-                simple = [replace(step, terms=fewer) if step.law is law else step for step in steps]
-                simple = [step for step in simple if step.terms]
-                trial = self._judged_to_its_end(self._refitted(state, simple))
+                trial = self._judged_to_its_end(self._refitted(state, state.steps_with({law: fewer})))
                 if trial.heldout_mm < _AS_WELL * state.heldout_mm:
-                    state, steps = trial, simple
-        return state, steps
+                    state = trial
+        return state
 
     def _by_chance(self, state: State, terms: Sequence[JointTerm], more: int = 1) -> bool:
         """Return whether chance explains some terms, of which there were ``more`` alternatives."""
-        log_p = log_chance(statistic_of(state, terms), len(tested(terms)), self.alternatives * more)
+        log_p = log_chance(state.statistic_of(terms), len(tested(terms)), self.alternatives * more)
         return log_p > math.log(_CHANCE)
 
-    def _refitted(self, state: State, steps: Sequence[SearchStep]) -> State:
-        """Fit again with the terms of ``steps``, in that order; new terms start at zero."""
-        layout, terms = state.problem.layout, tuple(term for step in steps for term in step.terms)
-        problem = state.problem.without_terms().with_terms(terms)
-        values = np.insert(
-            np.delete(state.solution.values, np.arange(layout.geometric, layout.arm)),
-            layout.geometric,
-            [
-                float(state.solution.values[places_of(state, [term])[0]]) if term in layout.terms else term.start
-                for term in terms
-            ],
-        )
-        return self._state(problem, values)
+    def _state(self, problem: MotionProblem, start: Array | None, steps: Sequence[LawStep] = ()) -> State:
+        laws = list(dict.fromkeys(term.law.value for term in problem.terms))
+        beginning = f"with {', '.join(laws)}: " if laws else ""
+        solution = solve(problem, start, lambda words: self.told(beginning + words), to_its_end=self.to_its_end)
+        return State(problem, solution, held_out_rms_mm(problem, solution), tuple(steps))
+
+    def _fitted(self, state: State, terms: Sequence[JointTerm]) -> State:
+        """Fit with these terms, in this order, from the values of a state; terms that it lacks begin at their start."""
+        before, own = state.problem, slice(state.problem.geometric, state.problem.arm)
+        known = dict(zip(before.terms, state.solution.values[own].tolist(), strict=True))
+        of_terms = [known.get(term, term.start) for term in terms]
+        values = np.concatenate([state.solution.values[: own.start], of_terms, state.solution.values[own.stop :]])
+        return self._state(before.with_terms(terms), values, state.steps)
+
+    def _refitted(self, state: State, steps: Sequence[LawStep]) -> State:
+        """Fit again with the terms of ``steps``."""
+        return replace(self._fitted(state, [term for step in steps for term in step.terms]), steps=tuple(steps))
+
+    def _extended(self, state: State, terms: Sequence[JointTerm]) -> State:
+        """Fit again with further terms, which are in no step yet."""
+        return self._fitted(state, (*state.problem.terms, *terms))
 
     def _plain(self, state: State) -> State:
         """Fit again without whitening."""
-        return self._state(replace(state.problem, whitening=None), state.solution.values)
+        return self._state(replace(state.problem, whitening=None), state.solution.values, state.steps)
 
     def _unwhitened(self, state: State, plain: State) -> State:
         """Fit without whitening, for predictions. Lines, which are fast, keep their values from the whitened residuals
         if these determine them better than ``plain`` does."""
-        problem, solution, size = plain.problem, state.solution, state.problem.layout.geometric
-        mean, precision = problem.mean.copy(), problem.precision.copy()
-        own, theirs = (np.diag(one.noise.covariance) for one in (solution, plain.solution))
-        for number, term in enumerate(problem.layout.terms, start=size):
-            if term.law is JointLaw.LINE and own[number] < theirs[number]:
-                mean[number] = solution.values[number]
-                precision[number] = 1.0 / own[number]
-        if np.array_equal(precision, problem.precision):
+        problem, values = plain.problem, state.solution.values
+        own, theirs = (np.diag(one.solution.noise.covariance) for one in (state, plain))
+        lines = enumerate(problem.terms, start=problem.geometric)
+        better = [place for place, term in lines if term.law is JointLaw.LINE and own[place] < theirs[place]]
+        if not better:
             return plain
-        return self._state(replace(problem, mean=mean, precision=precision), solution.values)
+        mean, precision = problem.mean.copy(), problem.precision.copy()
+        mean[better], precision[better] = values[better], 1.0 / own[better]
+        return self._state(replace(problem, mean=mean, precision=precision), values, state.steps)
 
     def _judged(self, trial: State) -> State:
         """Fit again with filters estimated from the residuals of ``trial``, as filters from before its terms hide a
         part of them. The held-out error is that of the fit without filters, as filtered points contain little
         information on the geometry."""
         plain = self._plain(trial)
-        filtered = self._state(_whitened(plain).problem, plain.solution.values)
+        filtered = self._state(_whitened(plain).problem, plain.solution.values, trial.steps)
         return replace(filtered, heldout_mm=self._unwhitened(filtered, plain).heldout_mm)
 
     def _judged_to_its_end(self, state: State) -> State:
         """Repeat with filters of its own residuals while that lowers the held-out error, so that this gain is not
         attributed to the next law."""
         for _ in range(_JUDGED_ROUNDS):
-            again = self._patient._judged(state)
-            if again.heldout_mm >= state.heldout_mm:
+            again = self._tried("filters of the last residuals", partial(self._patient._judged, state))
+            if again is None or again.heldout_mm >= state.heldout_mm:
                 break
             state = again
         return state
 
-    def _state(self, problem: Fittings, start: Array | None) -> State:
-        laws = list(dict.fromkeys(term.law.value for term in problem.layout.terms))
-        beginning = f"with {', '.join(laws)}: " if laws else ""
-        solution = solve(problem, start, lambda words: self.told(beginning + words), to_its_end=self.to_its_end)
-        return State(problem, solution, held_out_rms_mm(problem, solution))
-
-    def _extended(self, state: State, terms: tuple[JointTerm, ...]) -> State:
-        at = state.problem.layout.arm
-        start = np.insert(state.solution.values, at, [term.start for term in terms])
-        return self._state(state.problem.with_terms(terms), start)
-
-    def _law(
-        self, state: State, laws: Sequence[JointLaw | MotionLaw], steps: Sequence[SearchStep]
-    ) -> tuple[State, SearchStep] | None:
-        """Return the law of all joints that is least likely chance and lowers the held-out error; None if none."""
+    def _law(self, state: State, laws: Sequence[JointLaw | MotionLaw]) -> tuple[State, JointLaw | MotionLaw] | None:
+        """Return the state with the law of all joints that is least likely chance and lowers the held-out error; None
+        if none."""
         likely = []
         for law in laws:
-            for terms, chances in self._terms_to_try(state, law, steps):
+            for terms, chances in self._terms_to_try(state, law):
                 bare = replace(state, problem=replace(state.problem, whitening=None))
                 starts = [state, bare] if law in _OF_POSTURE else [state]
                 each = [self._tried(law.value, partial(self._extended, one, terms)) for one in starts]
                 trials = [one for one in each if one is not None]
                 if not trials:
                     continue
-                statistic, trial = max(((statistic_of(one, terms), one) for one in trials), key=lambda each: each[0])
-                log_p = log_chance(statistic, len(terms), chances)
-                if log_p < math.log(_CHANCE):
-                    likely.append((log_p, trial, SearchStep(law, terms, statistic, log_p, state.heldout_mm, math.nan)))
+                steps = [(trial, step_of(law, terms, trial, chances, state)) for trial in trials]
+                best = max(steps, key=lambda each: each[1].statistic)
+                if best[1].log_p < math.log(_CHANCE):
+                    likely.append(best)
         # laws of motion only come last: they absorb the residuals of lost motion and springs
-        for _, trial, step in sorted(likely, key=lambda each: (each[2].law in ONLY_MOTION, each[0])):
+        for trial, step in sorted(likely, key=lambda each: (each[1].law in ONLY_MOTION, each[1].log_p)):
             judged = self._tried(step.law.value, partial(self._judged, trial))
             if judged is None:
                 continue
             if (_AS_WELL if step.law in ONLY_MOTION else 1.0) * judged.heldout_mm < state.heldout_mm:
-                confounded = [one.log_p for _, _, one in likely if {one.law, step.law} == set(CONFOUNDED)]
-                return judged, replace(step, after_mm=judged.heldout_mm, other_log_p=min(confounded, default=math.inf))
+                confounded = [one.log_p for _, one in likely if {one.law, step.law} == set(CONFOUNDED)]
+                return judged.entered(replace(step, other_log_p=min(confounded, default=math.inf))), step.law
         return None
 
-    def _terms_to_try(
-        self, state: State, law: JointLaw | MotionLaw, steps: Sequence[SearchStep]
-    ) -> Iterator[tuple[tuple[JointTerm, ...], int]]:
+    def _terms_to_try(self, state: State, law: JointLaw | MotionLaw) -> Iterator[tuple[tuple[JointTerm, ...], int]]:
         """Yield terms with which a law may enter, and the number of alternatives: the plain law, the law with refining
         parts, or these parts beside what entered before."""
-        plain = () if has(steps, law) else of_all_joints(law, state.problem.layout.parameters.joints)
+        plain = () if state.has(law) else of_all_joints(law, state.problem.parameters.joints)
         if plain:
             yield plain, self.alternatives
-        refined = any(term.refines for term in terms_of(law, steps))
+        refined = any(term.refines for term in state.terms_of(law))
         if isinstance(law, JointLaw) and law in REFINED and not refined and (law is JointLaw.PLAY or not plain):
             self.told(f"constants of {law.value.replace('_', ' ')}")
             parts = refining_terms(state.problem, state.solution, law)
             yield (*plain, *parts), self.alternatives * alternatives(law)
 
-    def _lines(self, state: State, steps: Sequence[SearchStep]) -> tuple[State, SearchStep] | None:
+    def _all_lines(self, state: State) -> tuple[State, JointLaw] | None:
+        """Return the state with all lines of its residuals; None if there are none."""
+        found = None
+        while more := self._tried("lines", partial(self._lines, found or state)):
+            found = more
+        return None if found is None else (found, JointLaw.LINE)
+
+    def _lines(self, state: State) -> State | None:
         """Add the strongest lines of the residuals, at most one for each joint; None if none is significant."""
-        taken = [(term.joint, term.cycles) for step in steps for term in step.terms if term.law is JointLaw.LINE]
+        taken = [(term.joint, term.cycles) for term in state.terms_of(JointLaw.LINE)]
         if len(taken) >= 2 * _MOST_LINES:
             return None
-        joints = range(state.problem.layout.parameters.joints)
-        power, turns = line_powers(state.problem, state.solution, joints)
+        power, turns = line_powers(state.problem, state.solution, range(state.problem.parameters.joints))
         threshold = _WORTH_A_FIT * math.log(power.size / _CHANCE)
         for joint, cycles in taken:
-            near = np.abs(np.arange(power.shape[1]) - cycles) <= max(1.0, _ALIKE_TURNS / max(turns[joint], 1e-3))
-            power[joint, near] = 0.0
+            power[joint, np.abs(_COUNTS - cycles) <= max(1.0, _ALIKE_TURNS / max(turns[joint], 1e-3))] = 0.0
         power[:, :2] = 0.0
-        chosen = [
-            (joint, int(np.argmax(power[joint]))) for joint in range(len(power)) if power[joint].max() > threshold
-        ]
-        terms = tuple(
-            JointTerm(JointLaw.LINE, joint, cycles, sine) for joint, cycles in chosen for sine in (False, True)
-        )
-        if not terms:
+        strongest = enumerate(power.argmax(axis=1).tolist())
+        pairs = [_pair(joint, cycles) for joint, cycles in strongest if power[joint, cycles] > threshold]
+        if not pairs:
             return None
+        terms = tuple(term for pair in pairs for term in pair)
         trial = self._extended(state, terms)
-        evidence = {pair: statistic_of(trial, terms[2 * n : 2 * n + 2]) for n, pair in enumerate(chosen)}
         limit = float(scipy.special.chdtri(2, _CHANCE / power.size))
-        kept = tuple(term for term in terms if evidence[term.joint, term.cycles] > limit)
+        kept = tuple(term for pair in pairs if trial.statistic_of(pair) > limit for term in pair)
         if not kept:
             return None
         if len(kept) < len(terms):
             trial = self._extended(state, kept)
-        statistic = statistic_of(trial, kept)
-        log_p = log_chance(statistic, len(kept), power.size)
-        trial = self._judged(trial)
-        if trial.heldout_mm >= state.heldout_mm:
+        judged = self._judged(trial)
+        if judged.heldout_mm >= state.heldout_mm:
             return None
-        return trial, SearchStep(JointLaw.LINE, kept, statistic, log_p, state.heldout_mm, trial.heldout_mm)
+        return judged.entered(step_of(JointLaw.LINE, kept, trial, power.size, state))
 
 
 def _whitened(state: State) -> State:
     """Return the state with whitening filters of its residuals, so that every frequency is weighted by its noise."""
-    model = state.problem.model(state.solution.values)
     filters = tuple(
-        whitening_filter(residuals(model, track, number, source.rows), track.stamps.period_s)
+        whitening_filter(residuals(state.problem, state.solution.values, number, source.rows), track.stamps.period_s)
         for number, (track, source) in enumerate(zip(state.problem.tracks, state.solution.sources))
     )
     return replace(state, problem=replace(state.problem, whitening=filters))
@@ -551,28 +515,17 @@ def _pair(joint: int, cycles: int) -> tuple[JointTerm, JointTerm]:
     return JointTerm(JointLaw.LINE, joint, cycles, False), JointTerm(JointLaw.LINE, joint, cycles, True)
 
 
-def _sides(joint: int, cycles: int, lines: Sequence[JointTerm]) -> list[JointTerm]:
-    """Return lines at the counts next to that of a line, except those already in ``lines``."""
-    beside = ((side, term) for side in (-1, 1) for term in _pair(joint, cycles + side))
-    return [replace(term, side=side) for side, term in beside if term not in lines]
-
-
 def _reach(state: State, term: JointTerm) -> float:
     """Return the distance in counts below which lines are unresolved over the turns that a joint made."""
     q = np.concatenate([track.path.at(track.path.stamps.time_s)[0][:, term.joint] for track in state.problem.tracks])
     return max(1.0, 2.0 * math.pi * _ALIKE_TURNS / max(float(np.ptp(q)), 1e-3))
 
 
-def _near(state: State, term: JointTerm, lines: Sequence[JointTerm]) -> list[JointTerm]:
-    reach = _reach(state, term)
-    return [line for line in lines if line.joint == term.joint and abs(line.cycles - term.cycles) <= 1.5 * reach]
-
-
-def _recounted(step: SearchStep, better: Mapping[tuple[int, int], int | None]) -> SearchStep:
+def _recounted(step: LawStep, better: Mapping[tuple[int, int], int | None]) -> LawStep:
     """Move the lines of a step to other counts; drop lines that were merged into another."""
     if step.law is not JointLaw.LINE:
         return step
-    counts = [(term.joint, better[term.joint, term.cycles]) for term in step.terms[::2]]
+    counts = [(term.joint, better[term.place]) for term in step.terms[::2]]
     terms = [term for joint, count in counts if count is not None for term in _pair(joint, count)]
     return replace(step, terms=tuple(terms))
 
@@ -592,7 +545,7 @@ _LOG_2 = math.log(2.0)
 """Ratio of median to mean power of noise: powers of cosine and sine together are exponential."""
 
 
-def line_powers(problem: Fittings, solution: Solution, joints: Sequence[int]) -> tuple[Array, Array]:
+def line_powers(problem: MotionProblem, solution: Solution, joints: Sequence[int]) -> tuple[Array, Array]:
     """Return the power (joints, counts + 1) of each cycle count of some joints in the residuals, in units of the noise
     there: by chance it exceeds ``ln(1 / p)`` with probability p. Return also the turns (joints,) in the range of each.
 
@@ -648,15 +601,15 @@ def alternatives(law: JointLaw) -> int:
     return len(_KNEES) ** 2 if law is JointLaw.COMPLIANCE else len(_KINDS) * len(REACHES)
 
 
-def refining_terms(problem: Fittings, solution: Solution, law: JointLaw) -> tuple[JointTerm, ...]:
+def refining_terms(problem: MotionProblem, solution: Solution, law: JointLaw) -> tuple[JointTerm, ...]:
     """Return the parts of one of the laws ``REFINED`` that remove most from the residuals: for lost motion of one kind
     and with one reach, except at joints that a separate reach fits clearly better; for compliance one or two knees a
     joint."""
     return _knees(problem, solution) if law is JointLaw.COMPLIANCE else _fading(problem, solution, law)
 
 
-def _fading(problem: Fittings, solution: Solution, law: JointLaw) -> tuple[JointTerm, ...]:
-    joints, reaches = range(problem.layout.parameters.joints), range(len(REACHES))
+def _fading(problem: MotionProblem, solution: Solution, law: JointLaw) -> tuple[JointTerm, ...]:
+    joints, reaches = range(problem.parameters.joints), range(len(REACHES))
     fading = [replace(kind, reach=reach) for kind in _KINDS for reach in REACHES]
     parts = [JointTerm(law, joint, fading=one) for one in fading for joint in joints]
     gains = _gains(problem, solution, law, parts)
@@ -682,13 +635,12 @@ def _top(grid: Sequence[float], place: int, gains: Sequence[float]) -> float:
     """Return the constant at the top of the parabola through a point of a geometric grid and its neighbours."""
     if not 0 < place < len(grid) - 1:
         return grid[place]
-    less, best, more = gains[place - 1 : place + 2]
-    bend = less - 2.0 * best + more
-    top = 0.5 * (less - more) / bend if bend < 0.0 else 0.0
+    bend, slope, _ = np.polyfit((-1.0, 0.0, 1.0), gains[place - 1 : place + 2], 2).tolist()
+    top = -0.5 * slope / bend if bend < 0.0 else 0.0
     return float(grid[place] * (grid[place + 1] / grid[place]) ** top)
 
 
-def _knees(problem: Fittings, solution: Solution) -> tuple[JointTerm, ...]:
+def _knees(problem: MotionProblem, solution: Solution) -> tuple[JointTerm, ...]:
     """Choose the knees of all joints: one of each, two where both clearly gain; then refine their values."""
     largest = _largest_torques(problem)
     options = [_one_or_two(_KNEES, _KNEES)] * len(largest)
@@ -711,7 +663,7 @@ def _one_or_two(first: Sequence[float], second: Sequence[float]) -> list[tuple[f
 
 
 def _best_shares(
-    problem: Fittings, solution: Solution, largest: Array, options: Sequence[Sequence[tuple[float, ...]]]
+    problem: MotionProblem, solution: Solution, largest: Array, options: Sequence[Sequence[tuple[float, ...]]]
 ) -> list[tuple[float, ...]]:
     """Choose one option of each joint, joint by joint the one with the largest gain beside those of the others."""
     keys = [(joint, share) for joint, own in enumerate(options) for share in sorted({s for one in own for s in one})]
@@ -731,27 +683,24 @@ def _best_shares(
     return chosen
 
 
-def _largest_torques(problem: Fittings) -> Array:
+def _largest_torques(problem: MotionProblem) -> Array:
     """Return the largest torque (N,) [Nm] of each joint in all recordings."""
-    largest = np.zeros(problem.layout.parameters.joints)
-    for track in problem.tracks:
-        stamps = track.path.stamps.time_s
-        times = np.linspace(stamps[0], stamps[-1], _TORQUES)
-        torque = state_in_motion(track.path, times, problem.masses, torques=True).torque
-        largest = np.maximum(largest, np.abs(torque).max(axis=0))
-    return largest
+    paths = [track.path for track in problem.tracks]
+    times = [np.linspace(*path.stamps.time_s[[0, -1]], _TORQUES) for path in paths]
+    torques = [state_in_motion(path, its, problem.masses).torque for path, its in zip(paths, times, strict=True)]
+    return np.asarray(np.abs(np.concatenate(torques)).max(axis=0))
 
 
 def _gains(
-    problem: Fittings, solution: Solution, law: JointLaw, parts: Sequence[JointTerm]
+    problem: MotionProblem, solution: Solution, law: JointLaw, parts: Sequence[JointTerm]
 ) -> Callable[[Sequence[int]], float]:
     """Return what computes the chi-square that chosen ``parts`` remove from the residuals, beside the parameters of a
     fit."""
-    every = of_all_joints(law, problem.layout.parameters.joints)
-    plain = [term for term in every if term not in problem.layout.terms]
-    at, first = problem.layout.arm, problem.layout.arm + len(plain)
+    every = of_all_joints(law, problem.parameters.joints)
+    plain = [term for term in every if term not in problem.terms]
+    at, first = problem.arm, problem.arm + len(plain)
     # a subset of the points selects the part; the fit with it, and its evidence, use all points
-    extended = replace(problem.with_terms((*plain, *parts)), whitening=None)
+    extended = replace(problem.with_terms((*problem.terms, *plain, *parts)), whitening=None)
     sources = [_thinned(source, _MOST_POINTS // len(solution.sources)) for source in solution.sources]
     values = np.insert(solution.values, at, np.zeros(len(plain) + len(parts)))
     A, b = normal_equations(extended, values, sources)
@@ -768,5 +717,4 @@ def _gains(
 def _thinned(source: Source, most: int) -> Source:
     """Return a subset of the rows of a source, each with more weight."""
     each = max(len(source.rows) // max(most, 1), 1)
-    relative = None if source.relative is None else source.relative[::each]
-    return replace(source, rows=source.rows[::each], worth=source.worth * each, relative=relative)
+    return Source(source.rows[::each], source.sigma_m, source.relative[::each], source.worth * each)

@@ -29,7 +29,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from itertools import combinations
 from statistics import median_high, median_low
 
@@ -44,26 +44,22 @@ from cellapp.estimation.calibration.least_squares import (
     shortened,
     solve_psd,
 )
-from cellapp.estimation.calibration.parameters import PriorSpread
-from cellapp.estimation.motion.laws import JointLaw, JointTerm, Masses
+from cellapp.estimation.motion.laws import JointLaw, JointTerm
 from cellapp.estimation.motion.residuals import (
     Bands,
-    Layout,
-    Model,
     Modelled,
+    MotionProblem,
     NoiseModel,
-    Stops,
     Sums,
     averages_of,
     bands_of,
     noise_model,
     residuals,
     sums_of,
+    with_priors,
 )
-from cellapp.estimation.motion.tracks import Track
 from cellapp.ground.errors import NotConverged
 from cellapp.ground.progress import Told, ignore_words
-from cellapp.robot.kinematics.chain import Geometry
 from cellapp.robot.kinematics.transforms import Array
 
 _FIT = "fit of recordings of motion"
@@ -96,69 +92,6 @@ _ROUNDS = 4
 
 
 @dataclass(frozen=True, eq=False)
-class Fittings:
-    """Fitting problem: tracks, stops, and priors about the start."""
-
-    start: Geometry
-    layout: Layout
-    tracks: tuple[Track, ...]
-    stops: Stops | None
-    mean: Array = field(repr=False)
-    precision: Array = field(repr=False)
-    spreads: tuple[PriorSpread, ...]
-    stop_rows: NDArray[np.intp]
-    """The stops in use; the others are held out."""
-    masses: Masses | None = None
-    whitening: tuple[Array, ...] | None = None
-
-    def with_terms(self, added: tuple[JointTerm, ...]) -> Fittings:
-        """Return the problem with further terms."""
-        layout, at = replace(self.layout, terms=self.layout.terms + added), self.layout.arm
-        precisions = [1.0 / term.prior_sd**2 for term in added]
-        return replace(
-            self,
-            layout=layout,
-            mean=np.insert(self.mean, at, [term.prior_mean for term in added]),
-            precision=np.insert(self.precision, at, precisions),
-        )
-
-    def with_shapes(self, terms: tuple[JointTerm, ...]) -> Fittings:
-        """Return the problem with its terms linearised at other shapes."""
-        mean, precision = self.mean.copy(), self.precision.copy()
-        for place, term in enumerate(terms, start=self.layout.geometric):
-            if term.shape:
-                mean[place], precision[place] = term.prior_mean, 1.0 / term.prior_sd**2
-        return replace(self, layout=replace(self.layout, terms=terms), mean=mean, precision=precision)
-
-    def without_terms(self) -> Fittings:
-        """Return the problem with geometry and clocks alone."""
-        kept = np.delete(np.arange(self.layout.size), np.arange(self.layout.geometric, self.layout.arm))
-        return replace(
-            self, layout=replace(self.layout, terms=()), mean=self.mean[kept], precision=self.precision[kept]
-        )
-
-    @property
-    def holders(self) -> tuple[Track | Stops, ...]:
-        """The recordings, and last the stops if there are any."""
-        return self.tracks if self.stops is None else (*self.tracks, self.stops)
-
-    @property
-    def learnt(self) -> list[NDArray[np.intp]]:
-        """Rows of every source that the fit may use."""
-        rows = [np.flatnonzero(track.learnt) for track in self.tracks]
-        return rows if self.stops is None else [*rows, self.stop_rows]
-
-    @property
-    def translation(self) -> int:
-        """Index of a parameter that moves all points alike."""
-        return self.layout.parameters.names.index("x0")
-
-    def model(self, values: Array) -> Model:
-        """Return the arm and its clocks at ``values``."""
-        return Model(self.start, self.layout, values, self.masses)
-
-
-@dataclass(frozen=True, eq=False)
 class Solution:
     """The minimum: values, noise model, sources with their weights and used points, and the steps taken."""
 
@@ -172,20 +105,29 @@ class Solution:
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """Rows in use of one recording, or of the stops; standard deviation of a coordinate [m]; ``worth``, the weight of
-    one point in units of ``1 / sigma^2``; and relative uncertainties (n,), or None."""
+    """Rows in use of one recording, or of the stops; standard deviation of a coordinate [m]; relative uncertainties
+    (n,); and ``worth``, the weight of one point in units of ``1 / sigma^2``."""
 
     rows: NDArray[np.intp] = field(repr=False)
     sigma_m: float
+    relative: Array = field(repr=False)
     worth: float = 1.0
-    relative: Array | None = field(default=None, repr=False)
 
-    def root(self, robust: Array | None = None) -> Array:
+    def root(self) -> Array:
         """Return the square roots of the weights (n,) [1/m]."""
-        root = np.full(len(self.rows), np.sqrt(self.worth) / self.sigma_m)
-        if self.relative is not None:
-            root = root / self.relative
-        return root if robust is None else root * np.sqrt(robust)
+        return np.asarray(np.sqrt(self.worth) / self.sigma_m / self.relative)
+
+
+def with_lags_in_clocks(problem: MotionProblem, solution: Solution) -> tuple[Array, Array]:
+    """Return values and covariance with the mean of the joints' lags counted to the offsets of the clocks: only their
+    sum is known."""
+    lags = [place for place, term in enumerate(problem.terms, problem.geometric) if term.law is JointLaw.LAG]
+    apart = np.eye(len(solution.values))
+    if lags:
+        offsets = np.concatenate([problem.clock(number)[:-1] for number in range(len(problem.tracks))])
+        apart[np.ix_(lags, lags)] -= 1.0 / len(lags)
+        apart[np.ix_(offsets, lags)] += 1.0 / len(lags)
+    return apart @ solution.values, apart @ solution.noise.covariance @ apart.T
 
 
 def thinned(rows: NDArray[np.intp], count: int) -> NDArray[np.intp]:
@@ -196,82 +138,70 @@ def thinned(rows: NDArray[np.intp], count: int) -> NDArray[np.intp]:
 
 
 def solve(
-    problem: Fittings, start: Array | None = None, told: Told = ignore_words, *, to_its_end: bool = False
+    problem: MotionProblem, start: Array | None = None, told: Told = ignore_words, *, to_its_end: bool = False
 ) -> Solution:
     """Fit a subset with robust weights, then all points without gross errors; with ``start``, skip the subset.
 
     ``to_its_end``: iterate until weights and parameters are consistent with each other, which small effects need;
     clocks and geometry settle before. A step that displaces the points by more than ``_LAST_M`` does not raise the
-    sum of squares, priors included. Raise ``NotConverged`` if the steps do not end.
+    sum of squares, priors included. Raise ``NotConverged`` if the steps with all points do not end.
     """
-    values, steps = _first_fit(problem, told) if start is None else (start, [])
-    for number in range(_STEPS):
-        told(f"step {number + 1} with all points")
-        found, size = _stepped(problem, values, _all_points(problem, problem.model(values)), None)
-        values, steps = found.values, [*steps, size]
-        if size < (_END_M if to_its_end else _LAST_M):
-            return replace(found, steps=tuple(steps))
-    raise NotConverged.of(_FIT, f"{_STEPS} steps were not enough; the last moved the points by {steps[-1]:.1e} m")
+    values, steps, size = problem.mean if start is None else start, list[float](), math.inf
+    stages = [("all points", problem.learnt, _without_gross_errors, _STEPS, _END_M if to_its_end else _LAST_M)]
+    if start is None:
+        stages.insert(0, ("some of the points", _some_rows(problem), _with_robust_weights, _FIRST_STEPS, _SETTLED_M))
+    for words, rows, weighed, most, least in stages:
+        for number in range(most):
+            told(f"step {number + 1} with {words}")
+            found, size = _stepped(problem, values, weighed(problem, values, rows))
+            values, steps = found.values, [*steps, size]
+            if size < least:
+                break
+    if not size < least:
+        raise NotConverged.of(_FIT, f"{_STEPS} steps were not enough; the last moved the points by {size:.1e} m")
+    return replace(found, steps=tuple(steps))
 
 
-def _first_fit(problem: Fittings, told: Told) -> tuple[Array, list[float]]:
-    """Fit a subset robustly; return the values and the sizes of the steps. It is a start: it need not end."""
-    share = max(_FIRST_POINTS // max(len(problem.tracks), 1), 200)
-    rows = problem.learnt
-    rows[: len(problem.tracks)] = [thinned(its, share) for its in rows[: len(problem.tracks)]]
-    values, steps = problem.mean.copy(), list[float]()
-    for number in range(_FIRST_STEPS):
-        told(f"step {number + 1} with some of the points")
-        found, size = _stepped(problem, values, *_with_robust_weights(problem, problem.model(values), rows))
-        values, steps = found.values, [*steps, size]
-        if size < _SETTLED_M:
-            break
-    return values, steps
+def _some_rows(problem: MotionProblem) -> list[NDArray[np.intp]]:
+    """Return a part of the rows of the recordings, and those of the stops."""
+    recordings = len(problem.tracks)
+    share = max(_FIRST_POINTS // recordings, 200)
+    return [thinned(its, share) if n < recordings else its for n, its in enumerate(problem.learnt)]
 
 
-def _stepped(
-    problem: Fittings, values: Array, sources: Sequence[Source], robust: Sequence[Array] | None
-) -> tuple[Solution, float]:
+def _stepped(problem: MotionProblem, values: Array, sources: Sequence[Source]) -> tuple[Solution, float]:
     """Return the solution after a step from ``values``, and the rms displacement of the points by the step [m]."""
-    sums, most = _sums(problem, problem.model(values), sources, robust), _seconds_per_worth(problem, sources)
+    sums, most = _sums(problem, values, sources), _seconds_per_worth(problem, sources)
     step, noise, worths, information, precision = _weighed_step(problem, values, sums, most)
-    size = _size(step, information, problem.translation)
+    moves_all = information[(problem.parameters.names.index("x0"),) * 2]
+    size = math.sqrt(max(float(step @ information @ step), 0.0) / max(float(moves_all), 1e-300))
     weighed = tuple(replace(one, worth=worth) for one, worth in zip(sources, worths, strict=True))
     if not size < _LAST_M:
-        step = shortened(_FIT, step, partial(_loss, problem, values, weighed, precision, robust))
+        step = shortened(_FIT, step, partial(_loss, problem, values, weighed, precision))
     return Solution(values + step, noise, information, precision, weighed), size
 
 
-def _loss(
-    problem: Fittings,
-    values: Array,
-    sources: Sequence[Source],
-    precision: Array,
-    robust: Sequence[Array] | None,
-    step: Array,
-) -> float:
+def _loss(problem: MotionProblem, values: Array, sources: Sequence[Source], precision: Array, step: Array) -> float:
     """Compute the weighted sum of squares, priors included, a ``step`` beyond ``values``."""
     from scipy.signal import lfilter  # as in ``sums_of``
 
-    model = problem.model(values + step)
     total = float(precision @ (values + step - problem.mean) ** 2)
-    residuals = _residuals(problem, model, [one.rows for one in sources])
-    for number, (source, residual) in enumerate(zip(sources, residuals, strict=True)):
-        white = residual.T * source.root(None if robust is None else robust[number])
-        if number < len(problem.tracks) and problem.whitening is not None and robust is None:
-            white = lfilter(problem.whitening[number], [1.0], white)
+    for number, source in enumerate(sources):
+        white = residuals(problem, values + step, number, source.rows).T * source.root()
+        whitening = problem.filter_of(number)
+        if whitening is not None:
+            white = lfilter(whitening, [1.0], white)
         total += float(np.vdot(white, white))
     return total
 
 
-def normal_equations(problem: Fittings, values: Array, sources: Sequence[Source]) -> tuple[Array, Array]:
+def normal_equations(problem: MotionProblem, values: Array, sources: Sequence[Source]) -> tuple[Array, Array]:
     """Return ``X^T X`` and ``X^T r`` of all sources at ``values``, weighted as in a solution, without the priors."""
-    sums = _sums(problem, problem.model(values), sources, None)
-    return _normal(problem, sums, [1.0] * len(sums))
+    return _normal(problem, _sums(problem, values, sources), [1.0] * len(sources))
 
 
 def _weighed_step(
-    problem: Fittings, values: Array, sums: Sequence[Sums], most: Array | None
+    problem: MotionProblem, values: Array, sums: Sequence[Sums], most: Array | None
 ) -> tuple[Array, NoiseModel, list[float], Array, Array]:
     """Compute a Gauss-Newton step with source weights and estimated prior spreads; return step, noise model, worths,
     information and precision of the priors. ``most`` bounds the worths, see ``_bounded``."""
@@ -279,10 +209,9 @@ def _weighed_step(
     for _ in range(_ROUNDS):
         A, b = _normal(problem, sums, worths)
         precision = _with_spreads(problem, values, A, precision)
-        unit = 1.0 / np.sqrt(np.diag(A) + precision + 1e-300)
-        H = A * unit * unit[:, None] + np.diag(precision * unit**2)
+        unit, H = with_priors(A, precision)
         step = unit * solve_psd(H, unit * (b + precision * (problem.mean - values)))
-        noise = noise_model([one.bands for one in sums], worths, step, precision, A)
+        noise = noise_model([bands for *_, bands in sums], worths, step, precision, A)
         levels = noise.level
         if max(abs(level - 1.0) for level in levels) < _REWEIGHTED:
             break
@@ -290,13 +219,12 @@ def _weighed_step(
     return step, noise, worths, A, precision
 
 
-def _seconds_per_worth(problem: Fittings, sources: Sequence[Source]) -> Array | None:
+def _seconds_per_worth(problem: MotionProblem, sources: Sequence[Source]) -> Array | None:
     """Return the time of each recording over the sum of its weights at worth one (n,) [m^2 s]; None for fewer than
     three recordings, of which none is typical, or if each has its own whitening filter."""
     if len(problem.tracks) < 3 or problem.whitening is not None:
         return None
-    times = [np.count_nonzero(track.learnt) * track.stamps.period_s for track in problem.tracks]
-    return np.array([t * s.sigma_m**2 / max(len(s.rows), 1) for t, s in zip(times, sources)])
+    return np.array([t.learnt_s * s.sigma_m**2 / max(len(s.rows), 1) for t, s in zip(problem.tracks, sources)])
 
 
 def _bounded(worths: list[float], seconds_per_worth: Array | None) -> list[float]:
@@ -314,22 +242,21 @@ def _bounded(worths: list[float], seconds_per_worth: Array | None) -> list[float
     return [*bounded.tolist(), *worths[recordings:]]
 
 
-def _normal(problem: Fittings, sums: Sequence[Sums], worths: Sequence[float]) -> tuple[Array, Array]:
+def _normal(problem: MotionProblem, sums: Sequence[Sums], worths: Sequence[float]) -> tuple[Array, Array]:
     """Sum the normal equations of all sources over all parameters."""
-    A, b = np.zeros((problem.layout.size,) * 2), np.zeros(problem.layout.size)
-    for one, worth in zip(sums, worths, strict=True):
-        places = one.bands.columns
-        A[places[:, None], places] += worth * one.A
-        b[places] += worth * one.b
+    k = len(problem.mean)
+    A, b = np.zeros((k, k)), np.zeros(k)
+    for (own_A, own_b, bands), worth in zip(sums, worths, strict=True):
+        A[bands.columns[:, None], bands.columns] += worth * own_A
+        b[bands.columns] += worth * own_b
     return A, b
 
 
-def _with_spreads(problem: Fittings, values: Array, A: Array, precision: Array) -> Array:
+def _with_spreads(problem: MotionProblem, values: Array, A: Array, precision: Array) -> Array:
     """Return the precision of the priors, with unstated standard deviations estimated from the present values."""
     if not problem.spreads:
         return precision
-    unit = 1.0 / np.sqrt(np.diag(A) + precision + 1e-300)
-    H = A * unit * unit[:, None] + np.diag(precision * unit**2)
+    unit, H = with_priors(A, precision)
     by_priors = precision * unit**2 * inverse_diagonal(H)
     precision = precision.copy()
     for spread in problem.spreads:
@@ -339,84 +266,69 @@ def _with_spreads(problem: Fittings, values: Array, A: Array, precision: Array) 
     return precision
 
 
-def _size(step: Array, information: Array, translation: int) -> float:
-    """Return the rms displacement of the points by a step [m]; parameter ``translation`` moves all points alike."""
-    return float(np.sqrt(max(step @ information @ step, 0.0) / max(information[translation, translation], 1e-300)))
-
-
-def _sums(problem: Fittings, model: Model, sources: Sequence[Source], robust: Sequence[Array] | None) -> list[Sums]:
+def _sums(problem: MotionProblem, values: Array, sources: Sequence[Source]) -> list[Sums]:
     """Return the normal equations of every source at worth one."""
-    found = []
-    for number, (holder, source) in enumerate(zip(problem.holders, sources, strict=True)):
-        root, filters = source.root(None if robust is None else robust[number]), problem.whitening or ()
-        whitening = filters[number] if robust is None and number < len(filters) else None
-        found.append(sums_of(model, holder, number, source.rows, root, whitening))
-    return found
+    return [
+        sums_of(problem, values, number, source.rows, source.root(), problem.filter_of(number))
+        for number, source in enumerate(sources)
+    ]
 
 
-def _residuals(problem: Fittings, model: Model, rows: Sequence[NDArray[np.intp]]) -> list[Array]:
-    """Return the residuals (n, 3) [m] of the rows of every source."""
-    return [residuals(model, one, n, its) for n, (one, its) in enumerate(zip(problem.holders, rows, strict=True))]
+def _norms(problem: MotionProblem, values: Array, rows: Sequence[NDArray[np.intp]]) -> tuple[list[Array], float]:
+    """Return the norms of the residuals (n,) [m] of every source, and their median in the median recording: one that
+    fits better does not have more gross errors."""
+    norms = [np.linalg.norm(residuals(problem, values, number, its), axis=1) for number, its in enumerate(rows)]
+    return norms, median_low([float(np.median(norm)) for norm in norms[: len(problem.tracks)]])
 
 
-def _source(problem: Fittings, number: int, rows: NDArray[np.intp], norm: Array) -> Source:
-    """Build a source; its variance follows from the median of the residuals' norms (n,) [m]."""
-    stated = problem.holders[number].sigma_m
-    sigma = max(float(np.median(norm)) / MEDIAN_NORM, _TRACKER_M)
-    relative = None
-    if stated is not None and np.isfinite(stated[rows]).all() and (stated[rows] > 0.0).all():
-        squares = stated[rows] ** 2
-        excess = max(sigma**2 - float(np.median(squares)), 0.0)
-        relative = np.sqrt((squares + excess) / np.mean(squares + excess))
-    return Source(rows, sigma, relative=relative)
-
-
-def _with_robust_weights(
-    problem: Fittings, model: Model, rows: Sequence[NDArray[np.intp]]
-) -> tuple[list[Source], list[Array]]:
-    norms = [np.linalg.norm(one, axis=1) for one in _residuals(problem, model, rows)]
-    usual, sources, weights = _usual(norms[: len(problem.tracks)]), [], []
+def _with_robust_weights(problem: MotionProblem, values: Array, rows: Sequence[NDArray[np.intp]]) -> tuple[Source, ...]:
+    """Return the sources of these rows with robust weights."""
+    (norms, usual), found = _norms(problem, values, rows), []
     for number, (norm, its) in enumerate(zip(norms, rows, strict=True)):
-        sources.append(_source(problem, number, its, norm))
+        source = _source(its, norm, problem.holders[number].sigma_m)
         if number < len(problem.tracks):
             norm = np.maximum(norm, usual)
-            norm = norm * np.minimum(1.0, np.median(norm) / _nearby(problem.tracks[number], norm))
-        weights.append(robust_weights(np.maximum(norm, _TRACKER_M), "tukey"))
-    return sources, weights
+            norm = norm * np.minimum(1.0, np.median(norm) / _nearby(problem.tracks[number].learnt_s, norm))
+        with np.errstate(divide="ignore"):  # a gross error has no weight
+            of_weights = robust_weights(np.maximum(norm, _TRACKER_M), "tukey") ** -0.5
+        found.append(replace(source, relative=source.relative * of_weights))
+    return tuple(found)
 
 
-def _nearby(track: Track, norm: Array) -> Array:
+def _without_gross_errors(
+    problem: MotionProblem, values: Array, rows: Sequence[NDArray[np.intp]]
+) -> tuple[Source, ...]:
+    """Return the sources of these rows without gross errors."""
+    (norms, usual), found = _norms(problem, values, rows), []
+    for number, (norm, its) in enumerate(zip(norms, rows, strict=True)):
+        scale: float | Array = max(float(np.median(norm)) / MEDIAN_NORM, _TRACKER_M)
+        if number < len(problem.tracks):
+            nearby = _nearby(problem.tracks[number].learnt_s, norm)
+            scale = np.maximum(scale, np.maximum(nearby, usual) / MEDIAN_NORM)
+        good = norm < GROSS * scale
+        found.append(_source(its[good], norm[good], problem.holders[number].sigma_m))
+    return tuple(found)
+
+
+def _nearby(seconds: float, norm: Array) -> Array:
     """Return the median norm (n,) [m] of the residuals near the same time, for rows in order of time.
 
     An elastic joint may move all points of some seconds by far more than usual. These are no gross errors; without them
     only the rest of the motion would be fitted.
     """
-    seconds = np.count_nonzero(track.learnt) * track.stamps.period_s
     count = max(math.ceil(_NEARBY_S * len(norm) / max(seconds, _NEARBY_S)), _FEWEST_NEARBY)
-    blocks = max(len(norm) // count, 1)
-    medians = [np.full(len(part), np.median(part)) for part in np.array_split(norm, blocks)]
-    return np.maximum(np.concatenate(medians), _TRACKER_M)
+    parts = np.array_split(norm, max(len(norm) // count, 1))
+    medians = np.repeat([float(np.median(part)) for part in parts], [len(part) for part in parts])
+    return np.asarray(np.maximum(medians, _TRACKER_M))
 
 
-def _usual(norms: Sequence[Array]) -> float:
-    """Return the residual norm [m] of the median recording: a recording that fits better does not have more gross
-    errors."""
-    return max(median_low([float(np.median(norm)) for norm in norms]), _TRACKER_M)
-
-
-def _all_points(problem: Fittings, model: Model) -> tuple[Source, ...]:
-    """Return all points of every source without gross errors."""
-    rows = problem.learnt
-    norms = [np.linalg.norm(one, axis=1) for one in _residuals(problem, model, rows)]
-    usual, found = _usual(norms[: len(problem.tracks)]), []
-    for number, (norm, its) in enumerate(zip(norms, rows, strict=True)):
-        scale: float | Array = max(float(np.median(norm)) / MEDIAN_NORM, _TRACKER_M)
-        if number < len(problem.tracks):
-            nearby = _nearby(problem.tracks[number], norm)
-            scale = np.maximum(max(scale, usual / MEDIAN_NORM), nearby / MEDIAN_NORM)
-        good = norm < GROSS * scale
-        found.append(_source(problem, number, its[good], norm[good]))
-    return tuple(found)
+def _source(rows: NDArray[np.intp], norm: Array, stated: Array | None) -> Source:
+    """Build a source; its variance follows from the median of the residuals' norms (n,) [m]."""
+    sigma, squares = max(float(np.median(norm)) / MEDIAN_NORM, _TRACKER_M), np.ones(len(rows))
+    if stated is not None and np.isfinite(stated[rows]).all() and (stated[rows] > 0.0).all():
+        squares = stated[rows] ** 2
+        squares = squares + max(sigma**2 - float(np.median(squares)), 0.0)
+    return Source(rows, sigma, np.sqrt(squares / np.mean(squares)))
 
 
 # -- Discrepancy of the model -----------------------------------------------------------------------------------------
@@ -448,8 +360,9 @@ class _Seen:
     """All sources at the solution, in the columns (K) of all parameters and of the laws that the fit lacks.
 
     ``X`` (3 f, K) and ``r`` (3 f,) are projected on the functions of posture, with singular values ``size`` (3 f,)
-    relative to the largest; ``rest`` are the bands of each source without these functions. ``laws`` (K,) masks the
-    laws, ``law`` and ``sd`` (L,) are their index and the standard deviation of their terms.
+    relative to the largest; ``rest`` are the bands of each source without these functions, ``level`` its noise.
+    ``laws`` (K,) masks the laws, ``law`` and ``sd`` (L,) are their index and the standard deviation of their terms.
+    ``precision`` and ``pull`` (K,) are the priors of the fit: precision, and its product with the way to the mean.
     """
 
     laws: NDArray[np.bool_]
@@ -459,16 +372,73 @@ class _Seen:
     r: Array
     size: Array
     rest: tuple[Bands, ...]
+    level: tuple[float, ...]
+    precision: Array
+    pull: Array
 
     @property
     def freedom(self) -> float:
         """Degrees of freedom left in the functions of posture by the parameters."""
         return max(len(self.r) - float(np.count_nonzero(~self.laws)), _FEWEST_FREE)
 
-    def normal(self, level: tuple[float, ...]) -> Array:
-        """Return the products of columns and residuals (K + 1, K + 1) of the rest, divided by each source's level."""
-        parts = [bands.normal() / its for bands, its in zip(self.rest, level, strict=True)]
-        return np.asarray(np.sum(parts, axis=0))
+    @cached_property
+    def _rest(self) -> Array:
+        """Products of columns and residuals (K + 1, K + 1) of the rest, divided by each source's level."""
+        return np.asarray(sum(bands.normal() / its for bands, its in zip(self.rest, self.level, strict=True)))
+
+    @cached_property
+    def centre(self) -> Array:
+        """Centre of the prior of all log variances: of noise in the functions, of these, and of each law."""
+        noise, laws = math.log(float(np.mean(self.level))), self.law.max(initial=-1) + 1
+        return np.array([noise, noise, *[2.0 * math.log(_USUAL)] * laws])
+
+    def equations(self, missing: _Missing) -> tuple[Array, Array, Array]:
+        """Return products of columns and residuals (K + 1, K + 1) for a discrepancy, those of the functions of posture
+        alone, and the precision of all columns (K,)."""
+        both = np.column_stack([self.X, self.r])
+        of_posture, own = (both / missing.variance[:, None]).T @ both, self.precision.copy()
+        own[self.laws] = missing.precision
+        return of_posture + self._rest, of_posture, own
+
+    def sizes(self, logs: Array) -> _Missing:
+        """Return the sizes from log variances: of smooth functions, of all functions, of each law; with only the first,
+        there is no discrepancy."""
+        smooth = math.exp(logs[1]) * self.size**2 if len(logs) > 1 else 0.0
+        laws = np.exp(-logs[2:][self.law]) if len(logs) > 1 else np.full(len(self.sd), _NOTHING)
+        return _Missing(smooth + np.full(len(self.r), math.exp(logs[0])), laws / self.sd**2)
+
+    def cost(self, logs: Array) -> float:
+        """Return minus the log of the restricted likelihood times the prior."""
+        found = self.sizes(logs)
+        normal, _, own = self.equations(found)
+        unit, H = with_priors(normal[:-1, :-1], own)
+        L = np.linalg.cholesky(H + 1e-11 * np.eye(len(H)))
+        y = scipy.linalg.solve_triangular(L, unit * (normal[:-1, -1] + self.pull), lower=True)
+        logarithms = np.log(found.variance).sum() - np.log(found.precision).sum()
+        logarithms += 2.0 * (np.log(np.diag(L)).sum() - np.log(unit).sum())
+        by_prior = np.sum((logs - self.centre[: len(logs)]) ** 2) / _LOG_SD**2
+        return float(logarithms + normal[-1, -1] - y @ y + by_prior) / 2.0
+
+    def best(self, count: int) -> tuple[Array, float]:
+        """Return the most probable logs of the first ``count`` variances, and the log evidence (Laplace) up to a common
+        constant."""
+        options = {"xatol": 0.05, "fatol": 0.05, "maxfev": _MOST_TRIED}
+        found = scipy.optimize.minimize(self.cost, self.centre[:count], method="Nelder-Mead", options=options)
+        bent = [
+            (self.cost(found.x + step) + self.cost(found.x - step) - 2.0 * found.fun) / _LOG_STEP**2
+            for step in _LOG_STEP * np.eye(count)
+        ]
+        narrower = np.log(np.maximum(bent, 1.0 / _LOG_SD**2) * _LOG_SD**2)
+        return found.x, -float(found.fun) - 0.5 * float(narrower.sum())
+
+    def missing(self) -> _Missing:
+        """Estimate the sizes of the discrepancy by restricted maximum likelihood, averaged over absence and
+        presence."""
+        (nothing, alone), (some, beside) = (self.best(count) for count in (1, len(self.centre)))
+        share = float(scipy.special.expit(beside - alone + math.log(_USUALLY / (1.0 - _USUALLY))))
+        without, lacking = self.sizes(nothing), self.sizes(some)
+        variance = share * lacking.variance + (1.0 - share) * without.variance
+        return _Missing(variance, 1.0 / (share / lacking.precision + (1.0 - share) / without.precision))
 
 
 @dataclass(frozen=True, eq=False)
@@ -479,82 +449,83 @@ class _Missing:
     precision: Array
 
 
-def allow_for_missing(problem: Fittings, solution: Solution, *, with_clocks: bool = True) -> Solution:
+def allow_for_missing(problem: MotionProblem, solution: Solution, *, with_clocks: bool = True) -> Solution:
     """Return the solution with clocks corrected for the model discrepancy, the matching arm, and a covariance that
     includes the discrepancy; without ``with_clocks`` only the covariance changes."""
-    seen, layout = _seen(problem, solution), problem.layout
-    fitted = ~seen.laws
-    fit_bands = [bands.of(fitted) for bands in seen.rest]
-    still, ones = np.zeros(layout.size), [1.0] * len(fit_bands)
-    level = noise_model(fit_bands, ones, still, solution.precision, solution.information).level
-    towards_prior = solution.precision * (problem.mean - solution.values)
-    missing = _missing(seen, level, solution.precision, towards_prior)
-    arm = noise_model(fit_bands, ones, still, solution.precision, solution.information, _as_fitted(seen, missing))
+    seen = _seen(problem, solution)
+    missing = seen.missing()
+    arm = _noise_of_fit(seen.rest, ~seen.laws, solution, _as_fitted(seen, missing))
     if not with_clocks:
         return replace(solution, noise=arm)
-    step, of_clocks = _weighed(seen, missing, level, solution.precision, towards_prior)
-    clocks = np.concatenate([layout.clock(number) for number in range(len(problem.tracks))])
-    values, change, of_arm = solution.values.copy(), step[fitted][clocks], np.arange(layout.arm)
+    step, of_clocks = _weighed(seen, missing)
+    clocks, of_arm = np.arange(problem.arm, len(problem.mean)), np.arange(problem.arm)
+    theirs = np.flatnonzero(~seen.laws)[clocks]
+    values, change = solution.values.copy(), step[theirs]
     values[clocks] += change
     normal = solution.information + np.diag(solution.precision)
     values[of_arm] -= solve_psd(normal[np.ix_(of_arm, of_arm)], normal[np.ix_(of_arm, clocks)] @ change)
-    return replace(solution, values=values, noise=_with_clocks(arm, of_clocks, clocks, np.flatnonzero(fitted)[clocks]))
+    covariance, freedom = arm.covariance.copy(), arm.freedom.copy()
+    covariance[clocks] = covariance[:, clocks] = 0.0
+    covariance[np.ix_(clocks, clocks)] = of_clocks.covariance[np.ix_(theirs, theirs)]
+    freedom[clocks] = of_clocks.freedom[theirs]
+    return replace(solution, values=values, noise=replace(arm, covariance=covariance, freedom=freedom))
 
 
-def _with_clocks(
-    noise: NoiseModel, of_clocks: NoiseModel, places: NDArray[np.intp], theirs: NDArray[np.intp]
+def _noise_of_fit(
+    rest: Sequence[Bands], fitted: NDArray[np.bool_], solution: Solution, modelled: Modelled | None = None
 ) -> NoiseModel:
-    """Replace the variances of the clocks in a noise model by those of another one, with indices ``theirs`` there."""
-    covariance, freedom = noise.covariance.copy(), noise.freedom.copy()
-    covariance[places] = covariance[:, places] = 0.0
-    covariance[np.ix_(places, places)] = of_clocks.covariance[np.ix_(theirs, theirs)]
-    freedom[places] = of_clocks.freedom[theirs]
-    return replace(noise, covariance=covariance, freedom=freedom)
+    """Return the noise model of the fit's columns in bands of all columns."""
+    still = np.zeros(len(solution.values))
+    bands = [one.of(fitted) for one in rest]
+    return noise_model(bands, [1.0] * len(bands), still, solution.precision, solution.information, modelled)
 
 
-def _seen(problem: Fittings, solution: Solution) -> _Seen:
-    layout = problem.layout
+def _seen(problem: MotionProblem, solution: Solution) -> _Seen:
     laws = _laws(problem)
-    wide = problem.with_terms(laws)
-    model = wide.model(np.insert(solution.values, layout.arm, np.zeros(len(laws))))
+    wide = problem.with_terms((*problem.terms, *laws))
+    k, values = len(wide.mean), np.insert(solution.values, problem.arm, np.zeros(len(laws)))
     most = max(_MOST_ROWS // len(problem.tracks), 200)
     averages = [
-        averages_of(model, holder, number, source.rows, source.root(), most)
-        for number, (holder, source) in enumerate(zip(problem.holders, solution.sources, strict=True))
+        averages_of(wide, values, number, source.rows, source.root(), most)
+        for number, source in enumerate(solution.sources)
         if len(source.rows)
     ]
-    ends = np.cumsum([len(one.r) for one in averages])
-    X, r = np.zeros((ends[-1], 3, wide.layout.size)), np.concatenate([one.r for one in averages])
-    parts = [slice(end - len(one.r), end) for one, end in zip(averages, ends.tolist())]
-    for one, part in zip(averages, parts):
-        X[part, :, one.columns] = one.X
-    basis, size = _functions_of_posture(np.concatenate([one.q for one in averages]))
+    r, q = (np.concatenate([one[place] for one in averages]) for place in (1, 2))
+    X, parts, end = np.zeros((len(r), 3, k)), list[slice](), 0
+    for number, (own_X, _, _) in enumerate(averages):
+        parts.append(slice(end, end + len(own_X)))
+        X[parts[-1], :, wide.columns_of(number)] = own_X
+        end += len(own_X)
+    basis, size = _functions_of_posture(q)
     own_X, own_r = np.tensordot(basis, X, (0, 0)), basis.T @ r
     X -= np.tensordot(basis, own_X, (1, 0))
     r -= basis @ own_r
-    marked = np.zeros(wide.layout.size, dtype=bool)
-    marked[layout.arm : layout.arm + len(laws)] = True
+    marked = np.zeros(k, dtype=bool)
+    marked[problem.arm : wide.arm] = True
+    rest = tuple(
+        _rest(X[part], r[part], basis[part], in_time=number < len(problem.tracks)) for number, part in enumerate(parts)
+    )
+    precision, pull = np.zeros(k), np.zeros(k)
+    precision[~marked], pull[~marked] = solution.precision, solution.precision * (problem.mean - solution.values)
     kinds = {kind: n for n, kind in enumerate(dict.fromkeys((term.law, term.cycles) for term in laws))}
     return _Seen(
         marked,
         np.array([kinds[term.law, term.cycles] for term in laws], dtype=np.intp),
         np.array([term.prior_sd for term in laws]),
-        own_X.reshape(-1, wide.layout.size),
+        own_X.reshape(-1, k),
         own_r.ravel(),
         np.repeat(size, 3),
-        tuple(
-            _rest(X[part], r[part], basis[part], in_time=number < len(problem.tracks))
-            for number, part in enumerate(parts)
-        ),
+        rest,
+        _noise_of_fit(rest, ~marked, solution).level,
+        precision,
+        pull,
     )
 
 
-def _laws(problem: Fittings) -> tuple[JointTerm, ...]:
+def _laws(problem: MotionProblem) -> tuple[JointTerm, ...]:
     """Return the laws of joints that an arm may have and the fit lacks."""
-    joints = range(problem.layout.parameters.joints)
-    own = {
-        replace(term, law=JointLaw.LINE) if term.law is JointLaw.ONE_CYCLE else term for term in problem.layout.terms
-    }
+    joints = range(problem.parameters.joints)
+    own = {replace(term, law=JointLaw.LINE) if term.law is JointLaw.ONE_CYCLE else term for term in problem.terms}
     lines = [JointTerm(JointLaw.LINE, joint, c, sine) for c in _CYCLES for joint in joints for sine in (False, True)]
     elastic = [JointTerm(JointLaw.COMPLIANCE, joint) for joint in joints if problem.masses is not None]
     lost = [JointTerm(JointLaw.PLAY, joint) for joint in joints]  # lags the motion, like a delay
@@ -583,72 +554,6 @@ def _rest(X: Array, r: Array, basis: Array, *, in_time: bool) -> Bands:
     return replace(bands, count=np.maximum(bands.count - 3.0 * taken.gram.trace(axis1=1, axis2=2), 1.0))
 
 
-@dataclass(frozen=True, eq=False)
-class _Likelihood:
-    """Restricted likelihood of the discrepancy: products of columns and residuals in the functions of posture and in
-    the rest, the priors of the fit, and the centre of the prior of all log variances."""
-
-    seen: _Seen
-    both: Array
-    rest: Array
-    own: Array
-    pull: Array
-    centre: Array
-
-    @classmethod
-    def of(cls, seen: _Seen, level: tuple[float, ...], precision: Array, towards_prior: Array) -> _Likelihood:
-        own, pull = np.zeros(len(seen.laws)), np.zeros(len(seen.laws))
-        own[~seen.laws], pull[~seen.laws] = precision, towards_prior
-        noise = math.log(float(np.mean(level)))
-        usual = np.full(seen.law.max(initial=-1) + 1, 2.0 * math.log(_USUAL))
-        return cls(
-            seen, np.column_stack([seen.X, seen.r]), seen.normal(level), own, pull, np.array([noise, noise, *usual])
-        )
-
-    def sizes(self, logs: Array) -> _Missing:
-        """Return the sizes from log variances: of smooth functions, of all functions, of each law; with only the first,
-        there is no discrepancy."""
-        smooth = math.exp(logs[1]) * self.seen.size**2 if len(logs) > 1 else 0.0
-        laws = np.exp(-logs[2:][self.seen.law]) if len(logs) > 1 else np.full(len(self.seen.sd), _NOTHING)
-        return _Missing(smooth + np.full(len(self.seen.r), math.exp(logs[0])), laws / self.seen.sd**2)
-
-    def cost(self, logs: Array) -> float:
-        """Return minus the log of likelihood times prior."""
-        found, own = self.sizes(logs), self.own.copy()
-        normal = self.rest + (self.both / found.variance[:, None]).T @ self.both
-        own[self.seen.laws] = found.precision
-        unit = 1.0 / np.sqrt(np.diag(normal)[:-1] + own + 1e-300)
-        H = normal[:-1, :-1] * unit * unit[:, None] + np.diag(own * unit**2 + 1e-11)
-        L = np.linalg.cholesky(H)
-        y = scipy.linalg.solve_triangular(L, unit * (normal[:-1, -1] + self.pull), lower=True)
-        logarithms = np.log(found.variance).sum() - np.log(found.precision).sum()
-        logarithms += 2.0 * (np.log(np.diag(L)).sum() - np.log(unit).sum())
-        by_prior = np.sum((logs - self.centre[: len(logs)]) ** 2) / _LOG_SD**2
-        return float(logarithms + normal[-1, -1] - y @ y + by_prior) / 2.0
-
-    def best(self, count: int) -> tuple[Array, float]:
-        """Return the most probable logs of the first ``count`` variances, and the log evidence (Laplace) up to a common
-        constant."""
-        options = {"xatol": 0.05, "fatol": 0.05, "maxfev": _MOST_TRIED}
-        found = scipy.optimize.minimize(self.cost, self.centre[:count], method="Nelder-Mead", options=options)
-        bent = [
-            (self.cost(found.x + step) + self.cost(found.x - step) - 2.0 * found.fun) / _LOG_STEP**2
-            for step in _LOG_STEP * np.eye(count)
-        ]
-        narrower = np.log(np.maximum(bent, 1.0 / _LOG_SD**2) * _LOG_SD**2)
-        return found.x, -float(found.fun) - 0.5 * float(narrower.sum())
-
-
-def _missing(seen: _Seen, level: tuple[float, ...], precision: Array, towards_prior: Array) -> _Missing:
-    """Estimate the sizes of the discrepancy by restricted maximum likelihood, averaged over absence and presence."""
-    likelihood = _Likelihood.of(seen, level, precision, towards_prior)
-    (nothing, alone), (some, beside) = (likelihood.best(count) for count in (1, len(likelihood.centre)))
-    share = float(scipy.special.expit(beside - alone + math.log(_USUALLY / (1.0 - _USUALLY))))
-    without, lacking = likelihood.sizes(nothing), likelihood.sizes(some)
-    variance = share * lacking.variance + (1.0 - share) * without.variance
-    return _Missing(variance, 1.0 / (share / lacking.precision + (1.0 - share) / without.precision))
-
-
 def _as_fitted(seen: _Seen, missing: _Missing) -> Modelled:
     """Return the discrepancy as it enters the fit: the covariance of ``X^T r`` for the columns of the fit."""
     fitted, X = ~seen.laws, seen.X[:, ~seen.laws]
@@ -658,16 +563,10 @@ def _as_fitted(seen: _Seen, missing: _Missing) -> Modelled:
     return Modelled(X.T @ X, spread, seen.freedom)
 
 
-def _weighed(
-    seen: _Seen, missing: _Missing, level: tuple[float, ...], precision: Array, towards_prior: Array
-) -> tuple[Array, NoiseModel]:
+def _weighed(seen: _Seen, missing: _Missing) -> tuple[Array, NoiseModel]:
     """Return the generalised least squares step of all columns from the solution, and its noise model."""
-    own, pull = np.zeros(len(seen.laws)), np.zeros(len(seen.laws))
-    own[~seen.laws], own[seen.laws], pull[~seen.laws] = precision, missing.precision, towards_prior
-    weighed = seen.X / missing.variance[:, None]
-    known = Modelled(weighed.T @ seen.X, weighed.T @ seen.X, seen.freedom)
-    rest = seen.normal(level)
-    A, b = known.information + rest[:-1, :-1], weighed.T @ seen.r + rest[:-1, -1] + pull
-    unit = 1.0 / np.sqrt(np.diag(A) + own + 1e-300)
-    step = unit * solve_psd(A * unit * unit[:, None] + np.diag(own * unit**2), unit * b)
-    return step, noise_model(seen.rest, [1.0 / its for its in level], step, own, A, known)
+    normal, of_posture, own = seen.equations(missing)
+    A, known = normal[:-1, :-1], Modelled(of_posture[:-1, :-1], of_posture[:-1, :-1], seen.freedom)
+    unit, H = with_priors(A, own)
+    step = unit * solve_psd(H, unit * (normal[:-1, -1] + seen.pull))
+    return step, noise_model(seen.rest, [1.0 / its for its in seen.level], step, own, A, known)

@@ -21,9 +21,9 @@ from cellapp.estimation.calibration.parameters import (
     sigma_by_name,
 )
 from cellapp.estimation.calibration.records import ClockResult, ClockSegmentResult, RecordingResult
-from cellapp.estimation.motion.fit import GROSS, Fittings, Solution, allow_for_missing, solve, thinned
-from cellapp.estimation.motion.laws import JointLaw, JointTerm, Masses
-from cellapp.estimation.motion.residuals import Layout, Model, Stops, residuals
+from cellapp.estimation.motion.fit import GROSS, Solution, allow_for_missing, solve, thinned, with_lags_in_clocks
+from cellapp.estimation.motion.laws import JointLaw, Masses, of_all_joints
+from cellapp.estimation.motion.residuals import MotionProblem, Stops, residuals
 from cellapp.estimation.motion.streams import Recording
 from cellapp.estimation.motion.tracks import Track, track_of
 from cellapp.ground.errors import InputError
@@ -46,10 +46,7 @@ class RecordingFit:
     heldout_mm, heldout_nominal_mm : array, shape (h,)
         Distances of held-out points from the model and from the nominal arm at its base with the same clock [mm].
     track : Track
-        Path and points at the fitted clock, for later steps.
-    offsets_s : array, shape (S,)
-        Offsets of the segments, including the mean lag of the joints.
-    rate : float
+        Path and points at the fitted clock, which includes the mean lag of the joints, for later steps.
     """
 
     clock: ClockResult
@@ -57,8 +54,6 @@ class RecordingFit:
     heldout_mm: Array = field(repr=False)
     heldout_nominal_mm: Array = field(repr=False)
     track: Track = field(repr=False)
-    offsets_s: Array = field(repr=False)
-    rate: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,8 +68,6 @@ class MotionFit:
         Lost motion in motion, by joint [rad]: a joint lies this far behind its motor, against its last motion.
     half_play_standard_error : array, shape (N,)
     recordings : mapping-like dict of RecordingFit
-    effective : float
-        Number of independent points of all recordings together.
     stops_scatter_m : float or None
         Standard deviation of a coordinate of the stops' residuals.
     undetermined : tuple of str
@@ -85,7 +78,6 @@ class MotionFit:
     half_play: Array
     half_play_standard_error: Array
     recordings: dict[str, RecordingFit]
-    effective: float
     stops_scatter_m: float | None
     undetermined: tuple[str, ...]
 
@@ -93,11 +85,6 @@ class MotionFit:
     def clocks(self) -> dict[str, ClockResult]:
         """Clocks by recording."""
         return {name: one.clock for name, one in self.recordings.items()}
-
-    @property
-    def heldout_rms_mm(self) -> float:
-        """Rms distance of all held-out points from the model [mm]."""
-        return rms(np.concatenate([one.heldout_mm for one in self.recordings.values()]))
 
 
 def rms(values: Array) -> float:
@@ -118,8 +105,6 @@ _FEW_DETERMINED = 2.0 / 3.0
 """Share of determined geometric parameters below which motions excite the arm little; good ones leave a fifth open."""
 _BAD = 5.0
 """Ratio of a recording's scatter to that of the median recording at which it is reported as bad."""
-_RATE_UNKNOWN_PPM = 20.0
-"""Standard error of a rate above which it is as uncertain as clocks themselves."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +120,7 @@ class RecordedArm:
     tool_unknown : bool
         Whether the estimate of the tool starts at zero.
     stops : Stops, optional
-        Readings at rest, fitted jointly; those in the mask ``held_out_stops`` (n,) are not used.
+        Readings at rest, fitted jointly.
     parameter_set, prior_sigma
         As of ``calibration.identification.identify``.
     bodies, up_M
@@ -147,7 +132,6 @@ class RecordedArm:
     recordings: Sequence[Recording]
     tool_unknown: bool
     stops: Stops | None = None
-    held_out_stops: NDArray[np.bool_] | None = None
     parameter_set: SetName = "auto"
     prior_sigma: Mapping[str, float] | None = None
     bodies: Bodies | None = None
@@ -171,7 +155,7 @@ def identify_from_motion(arm: RecordedArm, told: Told = ignore_words) -> MotionF
     return motion_fit(problem, allow_for_missing(problem, solution))
 
 
-def motion_problem(arm: RecordedArm, told: Told) -> Fittings:
+def motion_problem(arm: RecordedArm, told: Told) -> MotionProblem:
     """Set up the problem of ``identify_from_motion`` (raises the same); the start is the nominal chain at the base that
     best fits the points."""
     if not arm.recordings:
@@ -187,21 +171,12 @@ def motion_problem(arm: RecordedArm, told: Told) -> Fittings:
         masses = replace(masses, geometry=start)
     stated = arm.prior_sigma or {}
     parameters, priors = estimated_parameters(arm.parameter_set, start, stated)
-    terms = tuple(JointTerm(JointLaw.PLAY, joint) for joint in range(start.joints))
-    layout = Layout(parameters, terms, tuple(len(track.offsets_s) for track in tracks))
-    mean, precision = np.zeros(layout.size), np.zeros(layout.size)
-    mean[: layout.geometric] = start.vector()[list(parameters.columns)]
-    precision[: layout.geometric] = 1.0 / prior_sds(parameters, priors) ** 2
-    precision[layout.geometric : layout.arm] = [1.0 / term.prior_sd**2 for term in terms]
-    for number, track in enumerate(tracks):
-        mean[layout.offsets(number)] = track.offsets_s
-        precision[layout.offsets(number)] = 1.0 / _OFFSET_SD**2
-        precision[layout.rate(number)] = 1.0 / _RATE_SD**2
+    mean = np.concatenate([start.vector()[list(parameters.columns)], *(its.clock_s for its in tracks)])
+    of_clocks = [np.append(np.full(len(its.clock_s) - 1, _OFFSET_SD), _RATE_SD) for its in tracks]
+    precision = np.concatenate([prior_sds(parameters, priors), *of_clocks]) ** -2.0
     spreads = prior_spreads(parameters, set(priors) - set(stated))
-    stop_rows = np.arange(0 if arm.stops is None else len(arm.stops.q))
-    if arm.held_out_stops is not None:
-        stop_rows = np.flatnonzero(~arm.held_out_stops)
-    return Fittings(start, layout, tuple(tracks), arm.stops, mean, precision, spreads, stop_rows, masses)
+    bare = MotionProblem(start, parameters, (), tuple(tracks), arm.stops, mean, precision, spreads, masses)
+    return bare.with_terms(of_all_joints(JointLaw.PLAY, start.joints))
 
 
 def _some_points(tracks: Sequence[Track], stops: Stops | None) -> tuple[Array, Array]:
@@ -209,48 +184,41 @@ def _some_points(tracks: Sequence[Track], stops: Stops | None) -> tuple[Array, A
     parts = [] if stops is None else [(stops.q, stops.p_M)]
     for track in tracks:
         rows = thinned(np.flatnonzero(track.learnt), 1000 // len(tracks) + 10)
-        parts.append((track.path.at(track.controller_times(rows, track.offsets_s, 0.0))[0], track.p_M[rows]))
+        parts.append((track.path.at(track.controller_times(rows))[0], track.p_M[rows]))
     return np.concatenate([q for q, _ in parts]), np.concatenate([p for _, p in parts])
 
 
-def motion_fit(problem: Fittings, solution: Solution) -> MotionFit:
+def motion_fit(problem: MotionProblem, solution: Solution) -> MotionFit:
     """Build the result of a solution."""
-    model, noise, layout = problem.model(solution.values), solution.noise, problem.layout
-    found = {
-        track.name: _recording_fit(problem, solution, model, number) for number, track in enumerate(problem.tracks)
-    }
-    play, play_error = np.zeros(layout.parameters.joints), np.full(layout.parameters.joints, np.nan)
-    for number, term in enumerate(layout.terms, start=layout.geometric):
+    found = {track.name: _recording_fit(problem, solution, number) for number, track in enumerate(problem.tracks)}
+    play, play_error = np.zeros(problem.parameters.joints), np.full(problem.parameters.joints, np.nan)
+    for place, term in enumerate(problem.terms, start=problem.geometric):
         if term.law is JointLaw.PLAY and term.fading is None:
-            play[term.joint] = solution.values[number]
-            play_error[term.joint] = math.sqrt(noise.covariance[number, number])
-    identification = _identification(problem, solution, model)
+            play[term.joint] = solution.values[place]
+            play_error[term.joint] = math.sqrt(solution.noise.covariance[place, place])
+    identification = _identification(problem, solution)
     has_stops = problem.stops is not None and len(solution.sources[-1].rows)
     return MotionFit(
         identification=identification,
         half_play=play,
         half_play_standard_error=play_error,
         recordings=found,
-        effective=sum(one.result.effective_points for one in found.values()),
         stops_scatter_m=solution.sources[-1].sigma_m if has_stops else None,
         undetermined=_undetermined(problem, identification, found),
     )
 
 
-def held_out_rms_mm(problem: Fittings, solution: Solution) -> float:
+def held_out_rms_mm(problem: MotionProblem, solution: Solution) -> float:
     """Return the rms distance of all held-out points from the model, without gross errors [mm]."""
-    model, squares, count = problem.model(solution.values), 0.0, 0
-    for number, track in enumerate(problem.tracks):
-        misses, good = _held_out(model, track, number, solution.sources[number].sigma_m)
-        squares += float(np.sum(misses[good] ** 2))
-        count += int(np.count_nonzero(good))
-    return 1e3 * math.sqrt(squares / count) if count else math.nan
+    parts = [_held_out(problem, solution, number) for number in range(len(problem.tracks))]
+    return 1e3 * rms(np.concatenate([misses[good] for misses, good in parts]))
 
 
-def _held_out(model: Model, track: Track, number: int, sigma_m: float) -> tuple[Array, NDArray[np.bool_]]:
+def _held_out(problem: MotionProblem, solution: Solution, number: int) -> tuple[Array, NDArray[np.bool_]]:
     """Return the distances of held-out points from the model [m], and a mask of those that are no gross errors."""
-    misses = np.linalg.norm(residuals(model, track, number, np.flatnonzero(track.held_out)), axis=1)
-    return misses, no_gross_errors(misses, sigma_m)
+    rows = np.flatnonzero(problem.tracks[number].held_out)
+    misses = np.linalg.norm(residuals(problem, solution.values, number, rows), axis=1)
+    return misses, no_gross_errors(misses, solution.sources[number].sigma_m)
 
 
 def no_gross_errors(misses: Array, sigma_m: float) -> NDArray[np.bool_]:
@@ -259,90 +227,58 @@ def no_gross_errors(misses: Array, sigma_m: float) -> NDArray[np.bool_]:
     return np.asarray(misses < GROSS * max(sigma_m, usual))
 
 
-def _recording_fit(problem: Fittings, solution: Solution, model: Model, number: int) -> RecordingFit:
+def _recording_fit(problem: MotionProblem, solution: Solution, number: int) -> RecordingFit:
     track, source = problem.tracks[number], solution.sources[number]
-    offsets, rate = model.clock(number)
-    rows = np.flatnonzero(track.held_out)
-    vector = problem.start.vector()
-    bare = problem.model(_with_arm(problem, solution.values, vector))
-    misses, good = _held_out(model, track, number, source.sigma_m)
+    misses, good = _held_out(problem, solution, number)
     heldout_mm = misses[good] * 1e3
-    nominal = np.linalg.norm(residuals(bare, track, number, rows), axis=1)
-    in_gaps = ~track.path.known(track.controller_times(np.arange(len(track.time_s)), offsets, rate))
+    published = solution.values.copy()  # with the same clocks
+    published[: problem.arm] = 0.0
+    published[: problem.geometric] = problem.start.vector()[list(problem.parameters.columns)]
+    nominal = np.linalg.norm(residuals(problem, published, number, np.flatnonzero(track.held_out)), axis=1)
+    time_s = track.controller_times(np.arange(len(track.time_s)), solution.values[problem.clock(number)])
     result = RecordingResult(
         points=len(track.time_s),
         learnt=len(source.rows),
         held_out=len(heldout_mm),
         gross=int(track.learnt.sum()) - len(source.rows) + int(np.count_nonzero(~good)),
-        in_gaps=int(np.count_nonzero(in_gaps)),
+        in_gaps=int(np.count_nonzero(~track.path.known(time_s))),
         effective_points=min(1.0, source.worth) * len(source.rows),
         scatter_mm=source.sigma_m * 1e3,
         heldout_rms_mm=rms(heldout_mm) if len(heldout_mm) else None,
     )
-    clock, lag_s = _clock_fit(problem, solution, number), _mean_lag(problem, solution)
-    return RecordingFit(clock, result, heldout_mm, nominal[good] * 1e3, track, offsets + lag_s, rate)
+    values, covariance = with_lags_in_clocks(problem, solution)
+    clock_s = values[problem.clock(number)]
+    errors = np.sqrt(np.diag(covariance)[problem.clock(number)])
+    clock = _clock_fit(track, clock_s, errors)
+    return RecordingFit(clock, result, heldout_mm, nominal[good] * 1e3, replace(track, clock_s=clock_s))
 
 
-def _with_arm(problem: Fittings, values: Array, vector: Array) -> Array:
-    """Return the values with the same clocks, the geometry of ``vector`` and no lost motion."""
-    values = values.copy()
-    values[: problem.layout.geometric] = vector[list(problem.layout.parameters.columns)]
-    values[problem.layout.geometric : problem.layout.arm] = 0.0
-    return values
-
-
-def _mean_lag(problem: Fittings, solution: Solution) -> float:
-    """Return the mean lag of the joints [s], which is indistinguishable from an offset of the clocks."""
-    of_terms = problem.model(solution.values).of_terms
-    lags = [
-        value for term, value in zip(problem.layout.terms, of_terms.tolist(), strict=True) if term.law is JointLaw.LAG
-    ]
-    return float(np.mean(lags)) if lags else 0.0
-
-
-def _clock_fit(problem: Fittings, solution: Solution, number: int) -> ClockResult:
-    """Return the clocks of one recording; their offset includes the inseparable mean lag of the joints."""
-    track, layout = problem.tracks[number], problem.layout
-    rate = layout.rate(number)
-    lags = [place for place, term in enumerate(layout.terms, start=layout.geometric) if term.law is JointLaw.LAG]
-
-    def stated(place: int, unit: float) -> tuple[float, float]:
-        """Return value and standard error."""
-        share = np.zeros(layout.size)
-        share[place] = unit
-        if place != rate:
-            share[lags] = unit / max(len(lags), 1)
-        return float(share @ solution.values), math.sqrt(float(share @ solution.noise.covariance @ share))
-
-    segments: list[tuple[tuple[float, float], float, float]] = []
-    for segment in range(layout.segments[number]):
-        times = track.time_s[track.segment == segment]
-        value = stated(layout.offsets(number).start + segment, 1.0)
-        segments.append((value, float(times[0]), float(times[-1])))
-    rate_ppm, rate_error = stated(rate, 1e6)
-    # the first segment between steps with training points
-    (offset_s, error_s), *_ = segments[int(track.segment[track.learnt][0])]
+def _clock_fit(track: Track, clock_s: Array, errors: Array) -> ClockResult:
+    """Return the clocks of one recording by their values and standard errors (S + 1,)."""
+    first = int(track.segment[track.learnt][0])  # between steps with training points
+    (offset_s, rate), (error_s, rate_error) = ((float(one[first]), 1e6 * float(one[-1])) for one in (clock_s, errors))
+    times = [track.time_s[track.segment == segment][[0, -1]].tolist() for segment in range(len(clock_s) - 1)]
     return ClockResult(
         offset_s=offset_s,
         offset_standard_error_s=error_s,
-        rate_ppm=rate_ppm,
+        rate_ppm=rate,
         rate_standard_error_ppm=rate_error,
         at_s=track.middle_s,
         steps_of_joints=tuple((step.at_s, step.step_s) for step in track.path.stamps.steps),
         steps_of_points=tuple((step.at_s, step.step_s) for step in track.stamps.steps),
         segments=tuple(
             ClockSegmentResult(offset_s=value, offset_standard_error_s=error, first_s=begin, last_s=end)
-            for (value, error), begin, end in (segments if len(segments) > 1 else ())
+            for value, error, (begin, end) in zip(clock_s[:-1].tolist(), errors[:-1].tolist(), times, strict=True)
+            if len(times) > 1
         ),
         correlation=track.start.correlation,
     )
 
 
-def _identification(problem: Fittings, solution: Solution, model: Model) -> Identification:
+def _identification(problem: MotionProblem, solution: Solution) -> Identification:
     """Return the arm's part of the solution as an identification."""
-    layout, noise, stops = problem.layout, solution.noise, problem.stops
-    estimated, size, arm = layout.parameters, layout.geometric, layout.arm
-    covariance = noise.covariance[:size, :size]
+    estimated, size, stops = problem.parameters, problem.geometric, problem.stops
+    covariance = solution.noise.covariance[:size, :size]
     information = _of_arm(solution.information, size)
     chosen = estimated
     if estimated.name == "auto":
@@ -351,11 +287,11 @@ def _identification(problem: Fittings, solution: Solution, model: Model) -> Iden
     in_table = covariance if chosen is estimated else to_table @ covariance @ to_table.T
     at_stops = np.zeros((0, 3))
     if stops is not None:
-        at_stops = residuals(model, stops, len(problem.tracks), np.arange(len(stops.q)))
+        at_stops = residuals(problem, solution.values, len(problem.tracks), np.arange(len(stops.q)))
     gram = information[kept[:, None], kept]
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     return Identification(
-        geometry=model.geometry,
+        geometry=problem.geometry(solution.values),
         estimated=estimated,
         estimated_covariance=covariance,
         prior_sigma=sigma_by_name(estimated.names, solution.precision[:size]),
@@ -369,7 +305,7 @@ def _identification(problem: Fittings, solution: Solution, model: Model) -> Iden
         converged=True,  # else ``solve`` refused it
         message="converged",
         scale=float(np.median([source.sigma_m for source in solution.sources])),
-        degrees_of_freedom=max(1, round(3 * sum(s.worth * len(s.rows) for s in solution.sources) - arm)),
+        degrees_of_freedom=max(1, round(3 * sum(s.worth * len(s.rows) for s in solution.sources) - problem.arm)),
         residuals=at_stops,
         weights=np.ones(len(at_stops)),
         steps=solution.steps,
@@ -386,66 +322,44 @@ def _of_arm(information: Array, size: int) -> Array:
 
 
 def _undetermined(
-    problem: Fittings, identification: Identification, found: Mapping[str, RecordingFit]
+    problem: MotionProblem, identification: Identification, found: Mapping[str, RecordingFit]
 ) -> tuple[str, ...]:
-    """Describe in sentences what the data cannot determine."""
+    """Describe in sentences what the data cannot determine; the merged parameters are listed with all others."""
     said = []
-    positions = np.concatenate([track.path.at(track.path.stamps.time_s)[0] for track in problem.tracks])
-    if problem.stops is not None:
-        positions = np.concatenate([positions, problem.stops.q])
-    for joint, swing in enumerate(np.ptp(positions, axis=0).tolist()):
-        if swing < _STILL_RAD:
-            said.append(
-                f"joint {joint + 1} moved by {math.degrees(swing):.2f} deg only: neither its axis nor its errors show"
-            )
+    far_mm = [float(np.median(one.heldout_nominal_mm)) for one in found.values() if one.result.held_out]
+    if far_mm and np.median(far_mm) > _FAR_MM:
+        said.append(
+            f"whether it is an arm of this type: the published one lies {np.median(far_mm):.0f} mm from the points"
+            " wherever its base is, where some mm are usual; of another arm, all that was found holds near these"
+            " motions only"
+        )
     determined, of = len(identification.names), len(identification.estimated.names)
     if determined < _FEW_DETERMINED * of:
-        said.insert(
-            0,
+        said.append(
             f"these motions determine {determined} of {of} parameters of the geometry: predictions hold near them only;"
-            " record motions of all joints, each alone and together, through a larger part of their range",
+            " record motions of all joints, each alone and together, through a larger part of their range"
         )
-    far = [float(np.median(one.heldout_nominal_mm)) for one in found.values() if one.result.held_out]
-    if far and (far_mm := float(np.median(far))) > _FAR_MM:
-        said.insert(
-            0,
-            f"whether it is an arm of this type: the published one lies {far_mm:.0f} mm from the points wherever"
-            " its base is, where some mm are usual; of another arm, all that was found holds near these motions only",
-        )
-    merged = identification.parameter_set.merged
-    for name, into in merged.items():
-        partners = ", ".join(sorted(into, key=lambda one: -abs(into[one]))[:4])
-        said.append(f"{name}: {'acts like ' + partners if partners else 'has no effect'} on these data")
-    for name, one in found.items():
-        others = one.track.start.others_s
-        if others:
-            said.append(
-                f"recording '{name}': the motion repeats, and delays of"
-                f" {', '.join(f'{other:.2f}' for other in others)} s would fit as well; the one with the longest"
-                " overlap was taken: begin recordings with a motion that does not come again"
-            )
-    return (*said, *_unsteady_rates(found), *_bad_recordings(found))
-
-
-def _unsteady_rates(found: Mapping[str, RecordingFit]) -> list[str]:
-    """Return a sentence on the recordings that do not determine the rate of their clocks; empty if there are none."""
-    errors = {name: one.clock.rate_standard_error_ppm for name, one in found.items()}
-    errors = {name: error for name, error in errors.items() if error > _RATE_UNKNOWN_PPM}
-    if not errors:
-        return []
-    best, worst = f"{min(errors.values()):.0f}", f"{max(errors.values()):.0f}"
-    known = f"the rate between the clocks is known to {best if best == worst else f'{best} to {worst}'} ppm only"
-    names = ", ".join(f"'{name}'" for name in errors)
-    return [f"{'recording' if len(errors) == 1 else 'recordings'} {names}: {known}; record longer"]
-
-
-def _bad_recordings(found: Mapping[str, RecordingFit]) -> list[str]:
-    """Return sentences on the recordings that disagree with the arm fitted to all others."""
+    positions = [track.path.at(track.path.stamps.time_s)[0] for track in problem.tracks]
+    positions += [] if problem.stops is None else [problem.stops.q]
+    swings = np.ptp(np.concatenate(positions), axis=0).tolist()
+    said += [
+        f"joint {joint} moved by {math.degrees(swing):.2f} deg only: neither its axis nor its errors show"
+        for joint, swing in enumerate(swings, start=1)
+        if swing < _STILL_RAD
+    ]
+    said += [
+        f"recording '{name}': the motion repeats, and delays of {', '.join(f'{other:.2f}' for other in others)} s would"
+        " fit as well; the one with the longest overlap was taken: begin recordings with a motion that does not come"
+        " again"
+        for name, one in found.items()
+        if (others := one.track.start.others_s)
+    ]
     usual = float(np.median([one.result.scatter_mm for one in found.values()]))
-    return [
+    said += [
         f"recording '{name}': its points lie {one.result.scatter_mm:.2f} mm from the arm on which the other recordings"
         f" agree to {usual:.2f} mm, so that it counts little and its clock is known badly; look for an SMR that"
         " was loose or another one, an arm that slipped, a tracker that was moved"
         for name, one in found.items()
         if len(found) > 2 and one.result.scatter_mm > _BAD * usual
     ]
+    return tuple(said)

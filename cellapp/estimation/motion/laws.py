@@ -145,8 +145,12 @@ class TimedPath:
     def even(self) -> EvenPath:
         """The path on even grids between gaps."""
         t = self.stamps.time_s
-        runs = [(float(t[first]), float(t[last - 1])) for first, last in _runs(self.stamps)]
-        time_s, inside_s, first = even_grid(runs, BEND_S)
+        ends = [t[[first, last - 1]].tolist() for first, last in _runs(self.stamps)]
+        ends = [(first, last) for first, last in ends if last - first > 2.0 * BEND_S]
+        grids = [np.arange(first, last, _STEP_S) for first, last in ends]
+        inside = [np.clip(grid, first + BEND_S, last - BEND_S) for grid, (first, last) in zip(grids, ends, strict=True)]
+        time_s, inside_s = np.concatenate(grids), np.concatenate(inside)
+        first = np.cumsum([0, *map(len, grids)]).astype(np.intp)
         q, bent = self.at(time_s)[0], [self.at(inside_s + step)[0] for step in (-BEND_S, 0.0, BEND_S)]
         qdd = (bent[0] - 2.0 * bent[1] + bent[2]) / BEND_S**2
         inertia = None if self.inertia is None else self.inertia(q[first[:-1]])
@@ -158,10 +162,7 @@ class TimedPath:
 
     def direction_at(self, time_s: Array) -> Array:
         """Return the side of the lost motion of each joint at times (n,) [s], (n, N), -1 to 1; 0 before any motion."""
-        t = self.stamps.time_s
-        place = np.clip(np.searchsorted(t, time_s), 1, len(t) - 1)
-        share = np.clip((time_s - t[place - 1]) / (t[place] - t[place - 1]), 0.0, 1.0)[:, None]
-        return np.asarray(self.direction[place - 1] * (1.0 - share) + self.direction[place] * share)
+        return rows_at(time_s, self.stamps.time_s, self.direction)
 
     def fading_at(self, samples: NDArray[np.intp], q: Array, joint: int, fading: Fading) -> Array:
         """Return the lost motion (n,) that a joint at positions ``q`` (n,) after ``samples`` (n,) has not yet taken up:
@@ -302,8 +303,6 @@ _STEP_S = 2e-3
 """Step of the grid: a hundredth of the period of 5 Hz, 12 steps of 40 Hz."""
 _SHARE = 0.05
 """Relative steps for derivatives: frequency relative to the width of the resonance, damping to itself."""
-_BILINEAR = {1: np.array([[1.0, -1.0], [1.0, 1.0]]), 2: np.array([[1.0, -2.0, 1.0], [1.0, 0.0, -1.0], [1.0, 2.0, 1.0]])}
-"""By degree n: (z - 1)^(n - i) (z + 1)^i of each term of a polynomial of s = 2 rate (z - 1) / (z + 1)."""
 _MOST_KEPT = 60
 """Largest number of cached responses of one path."""
 
@@ -399,28 +398,15 @@ def _filtered(
     """Apply a transfer function to even positions ``q`` (G,) that had the first speed and the acceleration ``bend`` for
     ever. ``ramp`` is its response to unit speed. ``warped`` is the frequency [rad/s] at which a quadratic one is exact;
     its response to acceleration is -1."""
-    from scipy.signal import lfilter  # it loads scipy.stats: not for commands without recordings
+    from scipy.signal import bilinear, lfilter  # they load scipy.stats: not for commands without recordings
 
     rate = 0.5 * warped / math.tan(0.5 * warped * _STEP_S) if warped else 1.0 / _STEP_S
-    by_z = _BILINEAR[len(below) - 1] * (2.0 * rate) ** np.arange(len(below) - 1.0, -1.0, -1.0)[:, None]
-    b, a = np.array(above) @ by_z, np.array(below) @ by_z
+    b, a = bilinear(above, below, rate)
     if warped:  # unit response to slow accelerations
         b = b / (rate * _STEP_S) ** 2
     t = _STEP_S * np.arange(len(q))
     speed = (q[1] - q[0]) / _STEP_S - 0.5 * bend * _STEP_S if len(q) > 1 else 0.0
     return np.asarray(lfilter(b, a, q - q[0] - t * (speed + 0.5 * bend * t)) + ramp * speed - bend)
-
-
-def even_grid(runs: list[tuple[float, float]], margin_s: float) -> tuple[Array, Array, NDArray[np.intp]]:
-    """Return times (G,) of even grids between the first and the last time [s] of each run; the nearest times at least
-    the margin inside; and the first rows of the runs."""
-    runs = [(first, last) for first, last in runs if last - first > 2.0 * margin_s]
-    parts = [np.arange(first, last, _STEP_S) for first, last in runs]
-    inside = [np.clip(part, first + margin_s, last - margin_s) for part, (first, last) in zip(parts, runs, strict=True)]
-    return np.concatenate(parts), np.concatenate(inside), np.cumsum([0, *map(len, parts)]).astype(np.intp)
-
-
-# -- Laws along a path ------------------------------------------------------------------------------------------------
 
 
 CHUNK = 2048
@@ -448,10 +434,7 @@ class JointLaw(Enum):
     WINDUP = "friction_windup", "windup", "rad/Nm", 1e-5
     LINE = "transmission_error", "", "rad", 3e-4
     ONE_CYCLE = "encoder_eccentricity", "", "rad", 3e-4
-    LAG = (
-        *("tracking_lag", "lag", "s", 5e-3),
-        *("delay of a joint behind the others", "a delay moves nothing at rest"),
-    )
+    LAG = "tracking_lag", "lag", "s", 5e-3, "delay of a joint behind the others", "a delay moves nothing at rest"
     COMPLIANCE = "joint_compliance", "compliance", "rad/Nm", 2e-5
     INERTIA = (
         *("inertia", "inertia", "s^2", 1e-3),
@@ -479,6 +462,8 @@ class JointLaw(Enum):
         return made
 
 
+LOADED = (JointLaw.WINDUP, JointLaw.COMPLIANCE)
+"""Laws that depend on torques."""
 _SIDE_SD = 3e-5
 """Prior standard deviation of the modulation of a line: part of its amplitude [rad]."""
 _VIBRATION = (("gain", "s^2"), ("frequency", "Hz"), ("damping", "1"))
@@ -576,11 +561,7 @@ class JointTerm:
     @property
     def needs_torques(self) -> bool:
         """Whether it depends on torques."""
-        return (
-            self.law.needs_torques
-            if isinstance(self.law, MotionLaw)
-            else self.law in (JointLaw.WINDUP, JointLaw.COMPLIANCE)
-        )
+        return self.law.needs_torques if isinstance(self.law, MotionLaw) else self.law in LOADED
 
     def offset(self, state: JointState) -> Array:
         """Return the offset of the joint (n,) per unit of the parameter [rad]."""
@@ -608,9 +589,7 @@ class JointTerm:
             path, time_s = state.course
             at_shape = path.even.at(path.even.lagging(self.joint, self.shape[0])[0], time_s)
             return np.asarray(at_shape + (value - self.shape[0]) * unit)
-        if self.law is JointLaw.VIBRATION and self.part:
-            value -= self.shape[self.part]
-        return np.asarray(value * unit)
+        return np.asarray((value - self.prior_mean) * unit)
 
     def _of_course(self, state: JointState) -> Array:
         """Return ``offset`` for laws that depend on the whole course of a motion."""
@@ -696,21 +675,17 @@ class Masses:
         return np.asarray(np.einsum("iknx,jknx,kn->nij", moved, moved, loads.masses) + _OWN_INERTIA * np.eye(joints))
 
 
-def state_in_motion(path: TimedPath, time_s: Array, masses: Masses | None, *, torques: bool) -> JointState:
-    """Return the state of the joints at times (n,) of the controller [s]."""
+def state_in_motion(path: TimedPath, time_s: Array, masses: Masses | None) -> JointState:
+    """Return the state of the joints at times (n,) of the controller [s]; torques are zero without masses."""
     q, qd = path.at(time_s)
     torque = np.zeros_like(q)
-    if torques and masses is not None:
+    if masses is not None:
         even = path.even
-        on_grid = even.kept((torques_in_motion, masses), partial(_in_chunks, path, even.inside_s, masses))
+        parts = np.array_split(even.inside_s, -(-len(even.inside_s) // CHUNK))
+        of_parts = (torques_in_motion(path, part, masses) for part in parts)
+        on_grid = even.kept((torques_in_motion, masses), lambda: np.concatenate([*of_parts]))
         torque = rows_at(time_s, even.time_s, on_grid)
     return JointState(q, qd, path.direction_at(time_s), torque, (path, time_s))
-
-
-def _in_chunks(path: TimedPath, time_s: Array, masses: Masses) -> Array:
-    """Compute ``torques_in_motion`` at many times, in chunks."""
-    parts = np.array_split(time_s, -(-len(time_s) // CHUNK))
-    return np.concatenate([torques_in_motion(path, part, masses) for part in parts])
 
 
 def state_at_rest(q: Array, direction: Array, masses: Masses | None, step: Array | None = None) -> JointState:
@@ -749,18 +724,17 @@ class JointLaws:
     def joints_at_rest(self, path: TimedPath, time_s: Array) -> Array:
         """Return the joint positions (n, N) [rad] at which an arm at rest has the points of these times (n,) [s]:
         without the laws of motion only."""
-        state = state_in_motion(path, time_s, None, torques=False)
+        state = state_in_motion(path, time_s, None)
         return state.q + state.offsets(*_apart(self.moving))
 
     def joints_with_history(self, path: TimedPath, time_s: Array) -> Array:
         """Return ``joints_at_rest`` plus the part of the laws at rest that motion adds: lost motion from earlier
         reversals, and the torque of accelerations. At rest, only the last motion of each joint is known."""
         terms, values = _apart(self.at_rest)
-        torques = any(term.needs_torques for term in terms)
-        q = self.joints_at_rest(path, time_s)
-        moves = state_in_motion(path, time_s, self.masses, torques=torques)
+        masses = self.masses if any(term.needs_torques for term in terms) else None
+        q, moves = self.joints_at_rest(path, time_s), state_in_motion(path, time_s, masses)
         side, travel = np.sign(np.rint(moves.direction)), path.travel_at(time_s, moves.q)
-        rests = state_at_rest(q, side, self.masses if torques else None, travel)
+        rests = state_at_rest(q, side, masses, travel)
         return q + moves.offsets(terms, values) - rests.offsets(terms, values)
 
 

@@ -8,14 +8,14 @@ Its columns are those of the geometry; ``o_k dP/dq_j`` for b_k; ``-J qd`` for o 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from cellapp.estimation.calibration.parameters import ParameterSet
+from cellapp.estimation.calibration.parameters import ParameterSet, PriorSpread
 from cellapp.estimation.motion.laws import CHUNK, JointState, JointTerm, Masses, state_at_rest, state_in_motion
 from cellapp.estimation.motion.tracks import Track
 from cellapp.robot.kinematics.chain import Geometry, JointAngles, ScratchSpace, smr_positions
@@ -148,14 +148,11 @@ class NoiseModel:
     level: tuple[float, ...]
 
 
-@dataclass(frozen=True, eq=False)
-class _Band:
-    """One band with enough degrees of freedom: its gram (K, K) of orthonormal columns, and its energy."""
-
-    source: int
-    count: float
-    gram: Array
-    energy: float
+def with_priors(information: Array, precision: Array) -> tuple[Array, Array]:
+    """Return units (K,) in which ``information`` (K, K) and the precision (K,) of priors have together a unit diagonal,
+    and their sum (K, K) in these units."""
+    unit = 1.0 / np.sqrt(np.diag(information) + precision + 1e-300)
+    return unit, information * unit * unit[:, None] + np.diag(precision * unit**2)
 
 
 def noise_model(
@@ -181,29 +178,24 @@ def noise_model(
     modelled : Modelled, optional
         Residuals that are in no band.
     """
-    unit = 1.0 / np.sqrt(np.diag(information) + precision + 1e-300)
-    H = information * unit * unit[:, None] + np.diag(precision * unit**2)
+    unit, H = with_priors(information, precision)
     L = np.linalg.cholesky(H + 1e-12 * np.eye(len(H)))
     root = scipy.linalg.solve_triangular(L, np.diag(unit), lower=True)  # L^-1 in the parameters' units
-    bands = [
-        band
-        for number, (source, worth) in enumerate(zip(sources, worths, strict=True))
-        for band in _joined_bands(number, source, worth, step, root)
-    ]
-    s, freedom = _variances(bands)
-    by_prior = (root * precision) @ root.T
-    inner = np.einsum("b,bij->ij", s, np.stack([band.gram for band in bands]))
+    by_source = [_joined_bands(source, worth, step, root) for source, worth in zip(sources, worths, strict=True)]
+    count, grams, energy = (np.concatenate(arrays) for arrays in zip(*by_source, strict=True))
+    s, freedom = _variances(count, grams, energy)
+    of_source = np.split(np.arange(len(s)), np.cumsum([len(its) for its, *_ in by_source])[:-1])
     # the part of the columns lost by averaging over neighbours is faster than all bands
-    averaged_out = (root @ information) @ root.T - sum(band.gram for band in bands)
+    averaged_out = (root @ information) @ root.T - grams.sum(axis=0)
     if modelled is not None:
         averaged_out = averaged_out - (root @ modelled.information) @ root.T
-    fastest = max(s[number] for number, band in enumerate(bands) if _is_last(number, bands))
-    inner = inner + fastest * averaged_out
+    inner = np.einsum("b,bij->ij", s, grams) + max(s[own[-1]] for own in of_source) * averaged_out
     uneven = np.ones(len(H))
     for source in sources:
         uneven[source.columns] = np.maximum(uneven[source.columns], source.uneven)
-    covariance = (root.T @ inner @ root) * np.sqrt(np.outer(uneven, uneven)) + root.T @ by_prior @ root
-    shares = np.stack([np.sum(root * (band.gram @ root), axis=0) for band in bands]) * s[:, None] * uneven
+    covariance = (root.T @ inner @ root) * np.sqrt(np.outer(uneven, uneven))
+    covariance = covariance + root.T @ ((root * precision) @ root.T) @ root
+    shares = np.sum(root * (grams @ root), axis=1) * s[:, None] * uneven
     own = np.sum(shares**2 / freedom[:, None], axis=0)
     if modelled is not None:
         by_step = root.T @ root
@@ -214,7 +206,7 @@ def noise_model(
     return NoiseModel(
         covariance,
         np.clip(variance**2 / np.maximum(own, 1e-300), 1.0, 1e6),
-        tuple(_level(number, bands, s) for number in range(len(sources))),
+        tuple(_level(grams[own], s[own]) for own in of_source),
     )
 
 
@@ -229,44 +221,34 @@ def whitening_filter(r: Array, period_s: float) -> Array:
     return np.concatenate([[1.0], -scipy.linalg.solve_toeplitz(covariance[:-1], covariance[1:])])
 
 
-def _is_last(number: int, bands: Sequence[_Band]) -> bool:
-    """Return whether a band is the fastest of its source."""
-    return number + 1 == len(bands) or bands[number + 1].source != bands[number].source
-
-
-def _joined_bands(number: int, source: Bands, worth: float, step: Array, root: Array) -> list[_Band]:
-    """Return the bands of one source; those with few degrees of freedom are joined to the next faster one."""
+def _joined_bands(source: Bands, worth: float, step: Array, root: Array) -> tuple[Array, Array, Array]:
+    """Return coordinates (B,), grams of orthonormal columns (B, K, K) and energies (B,) of the bands of one source;
+    those with few degrees of freedom are joined to the next faster one."""
     own = root[:, source.columns]
     grams = worth * (own @ source.gram @ own.T)
     energies = np.maximum(worth * source.energy(step), 0.0)  # rounding makes them negative if a fit leaves nothing
-    found: list[_Band] = []
-    first = 0
-    for place in range(len(grams)):
-        gram, count = grams[first : place + 1].sum(axis=0), float(source.count[first : place + 1].sum())
-        if count - np.trace(gram) >= _LEAST_FREEDOM or (place + 1 == len(grams) and not found):
-            found.append(_Band(number, count, gram, float(energies[first : place + 1].sum())))
-            first = place + 1
-    if first < len(grams):
-        last = found[-1]
-        rest = grams[first:].sum(axis=0), float(source.count[first:].sum()), float(energies[first:].sum())
-        found[-1] = _Band(number, last.count + rest[1], last.gram + rest[0], last.energy + rest[2])
-    return found
+    starts, free = [0], 0.0
+    for place, freedom in enumerate((source.count - grams.trace(axis1=1, axis2=2)).tolist(), start=1):
+        free += freedom
+        if free >= _LEAST_FREEDOM:
+            starts, free = [*starts, place], 0.0
+    if len(starts) > 1:
+        starts.pop()  # what follows the last complete band, if anything, joins it
+    count, grams, energies = (np.add.reduceat(one, starts) for one in (source.count, grams, energies))
+    return count, grams, energies
 
 
-def _variances(bands: Sequence[_Band]) -> tuple[Array, Array]:
+def _variances(count: Array, grams: Array, energy: Array) -> tuple[Array, Array]:
     """Return the variance of each band, and its degrees of freedom."""
-    count = np.array([band.count for band in bands], dtype=np.float64)
-    absorbed = np.array([np.trace(band.gram) for band in bands])
-    grams = np.stack([band.gram for band in bands]).reshape(len(bands), -1)
-    energy = np.array([band.energy for band in bands])
+    absorbed, flat = grams.trace(axis1=1, axis2=2), grams.reshape(len(grams), -1)
     freedom = np.maximum(count - absorbed, 1.0)
-    s = np.linalg.lstsq(np.diag(count - 2.0 * absorbed) + grams @ grams.T, energy, rcond=None)[0]
+    s = np.linalg.lstsq(np.diag(count - 2.0 * absorbed) + flat @ flat.T, energy, rcond=None)[0]
     plain = energy / freedom
     return np.asarray(np.where(s > _LEAST_SHARE * plain, s, plain)), freedom
 
 
-def _level(number: int, bands: Sequence[_Band], s: Array) -> float:
-    tells = np.array([np.trace(band.gram) if band.source == number else 0.0 for band in bands])
+def _level(grams: Array, s: Array) -> float:
+    tells = grams.trace(axis1=1, axis2=2)
     return max(float(tells @ s / tells.sum()), _LEAST_LEVEL) if tells.sum() > 0.0 else 1.0
 
 
@@ -278,22 +260,35 @@ _MOST_BLOCKS = 8000
 @dataclass(frozen=True, eq=False)
 class Stops:
     """Readings at rest: joint positions (n, N) [rad], points (n, 3) [m], their standard uncertainty (n,) [m], the sign
-    of each joint's last motion (n, N), 0 if unknown, and that motion (n, N) [rad], NaN if unknown."""
+    of each joint's last motion (n, N), 0 if unknown, and that motion (n, N) [rad], NaN if unknown. ``learnt`` (n,)
+    masks those that a fit may use; None for all."""
 
     q: Array
     p_M: Array
     sigma_m: Array | None = None
     approach: Array | None = None
     step: Array | None = None
+    learnt: NDArray[np.bool_] | None = None
 
 
-@dataclass(frozen=True)
-class Layout:
-    """Indices of the parameters: geometry, terms of joints, then the offsets and the rate of each recording."""
+@dataclass(frozen=True, eq=False)
+class MotionProblem:
+    """Fitting problem of one arm: its recordings and stops, and priors about the start.
 
+    Its parameters are those of the geometry, of the terms of joints, then the offsets and the rate of each recording.
+    Its sources are the recordings, and last the stops if there are any.
+    """
+
+    start: Geometry
     parameters: ParameterSet
     terms: tuple[JointTerm, ...]
-    segments: tuple[int, ...]
+    tracks: tuple[Track, ...]
+    stops: Stops | None
+    mean: Array = field(repr=False)
+    precision: Array = field(repr=False)
+    spreads: tuple[PriorSpread, ...]
+    masses: Masses | None = None
+    whitening: tuple[Array, ...] | None = None
 
     @property
     def geometric(self) -> int:
@@ -305,122 +300,93 @@ class Layout:
         """Number of parameters of the arm: geometry and terms."""
         return self.geometric + len(self.terms)
 
-    @property
-    def size(self) -> int:
-        """Number of all parameters."""
-        return self.arm + sum(self.segments) + len(self.segments)
-
-    def offsets(self, number: int) -> slice:
-        """Return the slice of the offsets of one recording."""
-        first = self.arm + sum(self.segments[:number]) + number
-        return slice(first, first + self.segments[number])
-
-    def rate(self, number: int) -> int:
-        """Return the index of the rate of one recording."""
-        return int(self.offsets(number).stop)
-
     def clock(self, number: int) -> NDArray[np.intp]:
-        """Return the indices of the offsets and the rate of one recording."""
-        return np.arange(self.offsets(number).start, self.rate(number) + 1)
+        """Return the indices of the offsets and the rate of one recording; none for the stops after these."""
+        sizes = [len(track.clock_s) for track in self.tracks]
+        first = self.arm + sum(sizes[:number])
+        return np.arange(first, first + sum(sizes[number : number + 1]))
 
     def columns_of(self, number: int) -> NDArray[np.intp]:
-        """Return the indices of the parameters that move the points of one recording, or of the stops after these."""
-        clock = self.clock(number) if number < len(self.segments) else np.arange(0)
-        return np.concatenate([np.arange(self.arm), clock])
+        """Return the indices of the parameters that move the points of one source."""
+        return np.concatenate([np.arange(self.arm), self.clock(number)])
 
+    def filter_of(self, number: int) -> Array | None:
+        """Return the filter in time that whitens the residuals of a source; None for the stops, or if there is none."""
+        return self.whitening[number] if self.whitening is not None and number < len(self.tracks) else None
 
-@dataclass(frozen=True, eq=False)
-class Sums:
-    """Normal equations of one source in its own columns, in total and by frequency band."""
-
-    A: Array
-    b: Array
-    bands: Bands
-
-
-@dataclass(frozen=True, eq=False)
-class Model:
-    """The arm and its clocks at one set of values."""
-
-    start: Geometry
-    layout: Layout
-    values: Array = field(repr=False)
-    masses: Masses | None = None
+    def with_terms(self, terms: Sequence[JointTerm]) -> MotionProblem:
+        """Return the problem with these terms; those that it has already keep their priors."""
+        own = slice(self.geometric, self.arm)
+        known = dict(zip(self.terms, zip(self.mean[own].tolist(), self.precision[own].tolist(), strict=True)))
+        priors = [known.get(term, (term.prior_mean, 1.0 / term.prior_sd**2)) for term in terms]
+        mean, precision = (
+            np.concatenate([one[: own.start], its, one[own.stop :]])
+            for one, its in ((self.mean, [m for m, _ in priors]), (self.precision, [p for _, p in priors]))
+        )
+        return replace(self, terms=tuple(terms), mean=mean, precision=precision)
 
     @property
-    def geometry(self) -> Geometry:
-        """Geometry at these values."""
-        return self.layout.parameters.moved(self.start, self.values[: self.layout.geometric])
+    def holders(self) -> tuple[Track | Stops, ...]:
+        """The recordings, and last the stops if there are any."""
+        return self.tracks if self.stops is None else (*self.tracks, self.stops)
 
     @property
-    def of_terms(self) -> Array:
-        """Values of the terms."""
-        return self.values[self.layout.geometric : self.layout.arm]
+    def learnt(self) -> list[NDArray[np.intp]]:
+        """Rows of every source that the fit may use."""
+        return [np.arange(len(its.p_M)) if its.learnt is None else np.flatnonzero(its.learnt) for its in self.holders]
 
-    @property
-    def needs_torques(self) -> bool:
-        """Whether a term depends on torques."""
-        return any(term.needs_torques for term in self.layout.terms)
+    def geometry(self, values: Array) -> Geometry:
+        """Return the geometry at values of the parameters."""
+        return self.parameters.moved(self.start, values[: self.geometric])
 
-    def clock(self, number: int) -> tuple[Array, float]:
-        """Return the offsets [s] of the segments of one recording, and its rate."""
-        return self.values[self.layout.offsets(number)], float(self.values[self.layout.rate(number)])
+    def joints(self, values: Array, number: int, rows: NDArray[np.intp]) -> JointState:
+        """Return the state of the joints at some rows of one source."""
+        holder = self.holders[number]
+        masses = self.masses if any(term.needs_torques for term in self.terms) else None
+        if isinstance(holder, Track):
+            return state_in_motion(holder.path, holder.controller_times(rows, values[self.clock(number)]), masses)
+        q = holder.q[rows]
+        direction = np.zeros_like(q) if holder.approach is None else holder.approach[rows]
+        return state_at_rest(q, direction, masses, None if holder.step is None else holder.step[rows])
 
 
-def residuals(model: Model, holder: Track | Stops, number: int, rows: NDArray[np.intp]) -> Array:
-    """Return measured less computed points (n, 3) [m] of some rows of one recording, or of the stops."""
-    residual = np.empty((len(rows), 3))
+Sums = tuple[Array, Array, Bands]
+"""Normal equations of one source in its own columns: ``X^T X`` and ``X^T r`` in total, and by frequency band."""
+
+
+def residuals(problem: MotionProblem, values: Array, number: int, rows: NDArray[np.intp]) -> Array:
+    """Return measured less computed points (n, 3) [m] of some rows of one source."""
+    residual, geometry = np.empty((len(rows), 3)), problem.geometry(values)
+    of_terms = values[problem.geometric : problem.arm]
     for first in range(0, len(rows), CHUNK):
         part = rows[first : first + CHUNK]
-        state = _state(model, holder, number, part)
-        q = state.q + state.offsets(model.layout.terms, model.of_terms)
-        residual[first : first + CHUNK] = holder.p_M[part] - smr_positions(model.geometry, q)
+        state = problem.joints(values, number, part)
+        q = state.q + state.offsets(problem.terms, of_terms)
+        residual[first : first + CHUNK] = problem.holders[number].p_M[part] - smr_positions(geometry, q)
     return residual
 
 
-def _state(model: Model, holder: Track | Stops, number: int, rows: NDArray[np.intp]) -> JointState:
-    """Return the state of the joints at some rows."""
-    if isinstance(holder, Track):
-        u = holder.controller_times(rows, *model.clock(number))
-        return state_in_motion(holder.path, u, model.masses, torques=model.needs_torques)
-    q = holder.q[rows]
-    direction = np.zeros_like(q) if holder.approach is None else holder.approach[rows]
-    step = None if holder.step is None else holder.step[rows]
-    return state_at_rest(q, direction, model.masses if model.needs_torques else None, step)
-
-
-@dataclass(frozen=True, eq=False)
-class Averages:
-    """Weighted columns ``X`` (m, 3, k) at indices ``columns``, residuals ``r`` (m, 3) and joint positions ``q`` (m, N)
-    of one recording, averaged over neighbours so that sums are preserved."""
-
-    X: Array
-    columns: NDArray[np.intp]
-    r: Array
-    q: Array
-
-
 def sums_of(
-    model: Model,
-    holder: Track | Stops,
+    problem: MotionProblem,
+    values: Array,
     number: int,
     rows: NDArray[np.intp],
     root: Array,
     whitening: Array | None = None,
 ) -> Sums:
-    """Sum over ``rows`` of one recording, or of the stops, each weighted by the square of ``root`` (n,) [1/m].
+    """Sum over ``rows`` of one source, each weighted by the square of ``root`` (n,) [1/m].
 
     ``whitening`` is a filter in time, applied to columns and residuals.
     """
     from scipy.signal import lfilter  # it loads scipy.stats: commands without recordings need not wait for that
 
-    columns = model.layout.columns_of(number)
+    holder, columns = problem.holders[number], problem.columns_of(number)
     k = len(columns)
     A, b = np.zeros((k, k)), np.zeros(k)
     past = 0 if whitening is None else len(whitening) - 1
     memory_X, memory_r = np.zeros((3, k, past)), np.zeros((3, past))
     parts, each = [], _block_length(holder, len(rows), _MOST_BLOCKS)
-    for X, residual, weight, q in _chunks(model, holder, number, rows, root, each):
+    for X, residual, weight, q in _chunks(problem, values, number, rows, root, each):
         if whitening is not None:
             X, memory_X = lfilter(whitening, [1.0], X, zi=memory_X)
             residual, memory_r = lfilter(whitening, [1.0], residual, zi=memory_r)
@@ -428,33 +394,33 @@ def sums_of(
         A += flat @ flat.T
         b += flat @ residual.ravel()
         parts.append(_averaged(X, residual, weight, q, each))
-    found = _joined(parts, columns)
-    return Sums(A, b, bands_of(found.X, found.columns, found.r, in_time=isinstance(holder, Track)))
+    X, residual, _ = _joined(parts)
+    return A, b, bands_of(X, columns, residual, in_time=isinstance(holder, Track))
 
 
 def averages_of(
-    model: Model, holder: Track | Stops, number: int, rows: NDArray[np.intp], root: Array, most: int
-) -> Averages:
-    """Return up to ``most`` averages of ``rows`` of a recording, or the stops without averaging, weighted by the square
-    of ``root`` (n,) [1/m]."""
-    each = _block_length(holder, len(rows), most)
-    parts = [_averaged(*chunk, each) for chunk in _chunks(model, holder, number, rows, root, each)]
-    return _joined(parts, model.layout.columns_of(number))
+    problem: MotionProblem, values: Array, number: int, rows: NDArray[np.intp], root: Array, most: int
+) -> tuple[Array, Array, Array]:
+    """Return weighted columns (m, 3, k), residuals (m, 3) and joint positions (m, N) of a source, averaged over
+    neighbours so that sums are preserved: up to ``most`` averages of ``rows`` of a recording, or the stops without
+    averaging, weighted by the square of ``root`` (n,) [1/m]."""
+    each = _block_length(problem.holders[number], len(rows), most)
+    return _joined([_averaged(*chunk, each) for chunk in _chunks(problem, values, number, rows, root, each)])
 
 
 def _chunks(
-    model: Model, holder: Track | Stops, number: int, rows: NDArray[np.intp], root: Array, each: int
+    problem: MotionProblem, values: Array, number: int, rows: NDArray[np.intp], root: Array, each: int
 ) -> Iterator[tuple[Array, Array, Array, Array]]:
     """Yield weighted columns (3, k, n) and residuals (3, n), weights (n,) and joint positions (n, N), in chunks of
     whole averages of ``each`` points."""
-    k, arm = len(model.layout.columns_of(number)), model.layout.arm
-    geometry, work = model.geometry, ScratchSpace()
+    holder, k, arm = problem.holders[number], len(problem.columns_of(number)), problem.arm
+    geometry, work = problem.geometry(values), ScratchSpace()
     step = max(1, CHUNK // each) * each
     for first in range(0, len(rows), step):
         part, weight = rows[first : first + step], root[first : first + step]
-        state = _state(model, holder, number, part)
+        state = problem.joints(values, number, part)
         X = np.empty((3, k, len(part)))
-        P, by_joint = _arm_columns(model, geometry, state, X[:, :arm], work)
+        P, by_joint = _arm_columns(problem, values, geometry, state, X[:, :arm], work)
         if isinstance(holder, Track):
             moved = np.einsum("ajn,nj->an", by_joint, state.qd)
             segment = holder.segment[part]
@@ -477,26 +443,26 @@ def _averaged(X: Array, residual: Array, weight: Array, q: Array, each: int) -> 
     )
 
 
-def _joined(parts: Sequence[tuple[Array, Array, Array]], columns: NDArray[np.intp]) -> Averages:
+def _joined(parts: Sequence[tuple[Array, Array, Array]]) -> tuple[Array, Array, Array]:
     X, r, q = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
-    return Averages(X, columns, r, q)
+    return X, r, q
 
 
 def _arm_columns(
-    model: Model, geometry: Geometry, state: JointState, out: Array, work: ScratchSpace
+    problem: MotionProblem, values: Array, geometry: Geometry, state: JointState, out: Array, work: ScratchSpace
 ) -> tuple[Array, Array]:
     """Return computed points (3, n) and derivatives by the joints (3, N, n); write those by parameters to ``out``."""
-    size, joints = model.layout.geometric, model.layout.parameters.joints
-    units = [term.offset(state) for term in model.layout.terms]
-    angles = JointAngles.of(state.q + state.offsets(model.layout.terms, model.of_terms, units))
-    thetas = tuple(6 + 5 * joint for joint in range(joints))
-    plain = set(model.layout.parameters.columns).difference(first for _, first in model.layout.parameters.tied)
+    size, parameters = problem.geometric, problem.parameters
+    units = [term.offset(state) for term in problem.terms]
+    angles = JointAngles.of(state.q + state.offsets(problem.terms, values[size : problem.arm], units))
+    thetas = tuple(6 + 5 * joint for joint in range(parameters.joints))
+    plain = set(parameters.columns).difference(first for _, first in parameters.tied)
     added = tuple(theta for theta in thetas if theta not in plain)
-    P, J = model.layout.parameters.jacobian(geometry, angles, work, added)
+    P, J = parameters.jacobian(geometry, angles, work, added)
     out[:, :size] = J[:, len(added) :]
-    every = added + model.layout.parameters.columns
+    every = added + parameters.columns
     by_joint = J[:, [every.index(theta) for theta in thetas]]
-    for number, (term, unit) in enumerate(zip(model.layout.terms, units, strict=True)):
+    for number, (term, unit) in enumerate(zip(problem.terms, units, strict=True)):
         np.multiply(by_joint[:, term.joint], unit, out=out[:, size + number])
     return P, by_joint
 

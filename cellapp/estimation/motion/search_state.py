@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.parameters import ParameterSet
 from cellapp.estimation.discovery.arm_data import whitening
-from cellapp.estimation.discovery.records import BeforeAfter, Evidence
-from cellapp.estimation.motion.fit import Fittings, Solution
+from cellapp.estimation.discovery.records import BeforeAfter, Evidence, LawRecord, MotionEffectResult
+from cellapp.estimation.motion.fit import Solution, with_lags_in_clocks
 from cellapp.estimation.motion.laws import JointLaw, JointState, JointTerm
-from cellapp.estimation.motion.residuals import residuals
+from cellapp.estimation.motion.residuals import MotionProblem, residuals
 from cellapp.estimation.motion.tracks import Track
-from cellapp.robot.effects import EFFECTS, EffectTerm, MotionLaw
+from cellapp.ground.results import Estimate
+from cellapp.robot.effects import EFFECTS, EffectTerm, MotionLaw, term_from_json
 from cellapp.robot.effects.backlash import BELL, LOAD_BELL, LOAD_REACH, REACH
 from cellapp.robot.effects.joint_compliance import SECOND_KNEE
 from cellapp.robot.kinematics.chain import Geometry, JointAngles, joint_jacobian
@@ -35,7 +35,7 @@ CONFOUNDED = (JointLaw.PLAY, JointLaw.WINDUP)
 _LEAST = 1e-300
 _LEAST_LOG = math.log(_LEAST)
 _POSITIVE = (JointLaw.COMPLIANCE, JointLaw.INERTIA, JointLaw.TIME_CONSTANT, JointLaw.VIBRATION)
-AT_REST = {
+AT_REST: Mapping[JointLaw | MotionLaw, str] = {
     JointLaw.PLAY: "constant",
     JointLaw.WINDUP: "load",
     JointLaw.LINE: "lines",
@@ -53,62 +53,27 @@ DENSE = 20
 """Cycles a turn at which lines are too dense for the few hundred stops of a plan."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class MotionEffect:
-    """An effect found in recordings.
+    """An effect found in recordings, as it is stored; the terms of its parameters, and the probability that it is
+    present. Its slug is ``tracking_lag`` for the delay of a joint behind the others."""
 
-    Attributes
-    ----------
-    slug : str
-        Slug of the effect; ``tracking_lag`` for the delay of a joint behind the others.
-    names, units : tuple of str
-    values, standard_errors : array
-        Parameters of the joints that show it.
-    joints : tuple of int
-        Joints that show it, from 1.
-    evidence : Evidence
-        Chi-square of the parameters, its corrected probability by chance, at least 1e-300, and the rms distance of
-        held-out points before and after it entered.
-    only_motion : str
-        Reason why stops cannot show it; empty if they can.
-    at_rest : bool
-        Whether it applies to commands of poses at rest.
-    posterior : float
-        Probability that it is present.
-    form : str
-    constants : mapping
-        Form and constants of the equivalent law for stops, if the effect acts at rest.
-    """
-
-    slug: str
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    values: Array = field(repr=False)
-    standard_errors: Array = field(repr=False)
-    joints: tuple[int, ...]
-    evidence: Evidence
-    only_motion: str
-    at_rest: bool
+    found: MotionEffectResult
+    terms: tuple[JointTerm, ...]
     posterior: float
-    form: str
-    constants: Mapping[str, float]
+
+    @property
+    def valued(self) -> list[tuple[JointTerm, float]]:
+        """Terms with their values."""
+        return list(zip(self.terms, (one.value for one in self.found.parameters.values()), strict=True))
 
     def term(self) -> EffectTerm:
-        """Return the effect as a term of an arm model.
-
-        Raises
-        ------
-        ValueError
-            If it does not act at rest.
-        """
-        if not self.at_rest:
-            raise ValueError(f"{self.slug} acts in motion only")
-        law = EFFECTS[self.slug].law(self.form, self.constants)
-        return EffectTerm(self.slug, self.names, self.values, self.standard_errors, self.units, law)
+        """Return an effect that acts at rest as a term of an arm model."""
+        return term_from_json(self.found.model_dump(), EFFECTS)
 
 
 @dataclass(frozen=True)
-class SearchStep:
+class LawStep:
     """A step of the search: its terms, chi-square, log probability of as large a value by chance, and held-out errors
     before and after; ``other_log_p`` is the log probability of the best confounded law."""
 
@@ -117,22 +82,86 @@ class SearchStep:
     statistic: float
     log_p: float
     before_mm: float
-    after_mm: float
+    after_mm: float = math.nan
     other_log_p: float = math.inf
 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Problem with the present terms, its solution, and the held-out error."""
+    """Problem with the terms of the steps so far, its solution, and the held-out error."""
 
-    problem: Fittings
+    problem: MotionProblem
     solution: Solution
     heldout_mm: float
+    steps: tuple[LawStep, ...] = ()
 
+    def has(self, law: JointLaw | MotionLaw) -> bool:
+        """Return whether a law entered; a law of a plug-in with any values of its tuned parameters."""
+        return any(step.law.value == law.value for step in self.steps)
 
-def has(steps: Sequence[SearchStep], law: JointLaw | MotionLaw) -> bool:
-    """Return whether a law entered; a law of a plug-in with any values of its tuned parameters."""
-    return any(step.law.value == law.value for step in steps)
+    def terms_of(self, law: JointLaw | MotionLaw) -> tuple[JointTerm, ...]:
+        """Return the terms of a law."""
+        return tuple(term for step in self.steps if step.law is law for term in step.terms)
+
+    def places_of(self, terms: Sequence[JointTerm]) -> list[int]:
+        """Return the indices of some terms among the parameters."""
+        return [self.problem.geometric + self.problem.terms.index(term) for term in terms]
+
+    def values_of(self, terms: Sequence[JointTerm]) -> tuple[Array, Array]:
+        """Return the values of some terms and their covariance; lags relative to the mean of all."""
+        values, covariance = with_lags_in_clocks(self.problem, self.solution)
+        places = self.places_of(terms)
+        return values[places], covariance[np.ix_(places, places)]
+
+    def statistic_of(self, terms: Sequence[JointTerm]) -> float:
+        """Return the chi-square of some terms."""
+        values, covariance = self.values_of(tested(terms))
+        return float(values @ np.linalg.pinv(covariance, hermitian=True) @ values)
+
+    def entered(self, step: LawStep) -> State:
+        """Return the state with a step, whose terms were fitted; further terms of a law that entered before join its
+        step, except for lines and vibrations."""
+        steps, laws, step = list(self.steps), [one.law for one in self.steps], replace(step, after_mm=self.heldout_mm)
+        if step.law in (JointLaw.LINE, JointLaw.VIBRATION) or step.law not in laws:
+            return replace(self, steps=(*steps, step))
+        place = laws.index(step.law)
+        one = steps[place]
+        terms, statistic = one.terms + step.terms, one.statistic + step.statistic
+        steps[place] = replace(one, terms=terms, statistic=statistic, after_mm=step.after_mm)
+        return replace(self, steps=tuple(steps))
+
+    def steps_with(self, terms: Mapping[JointLaw | MotionLaw, Sequence[JointTerm]]) -> list[LawStep]:
+        """Return the steps with other terms of some laws, without those that then have none."""
+        changed = (replace(step, terms=tuple(terms.get(step.law, step.terms))) for step in self.steps)
+        return [step for step in changed if step.terms]
+
+    def steps_without(self, terms: Collection[JointTerm]) -> list[LawStep]:
+        """Return the steps without some terms."""
+        kept = (replace(step, terms=tuple(term for term in step.terms if term not in terms)) for step in self.steps)
+        return [step for step in kept if step.terms]
+
+    def shown(self, law: JointLaw | MotionLaw) -> tuple[JointTerm, ...]:
+        """Return the terms of the joints that show a law; springs of the wrong sign do not count. A refining part
+        counts with the plain part of its joint. If one joint shows a law of gears, other joints with the usual sign
+        need half as many standard errors: the law is known by then, and commands without these terms would have larger
+        errors."""
+        terms = self.terms_of(law)
+        if not terms:
+            return ()
+        values, covariance = self.values_of(terms)
+        size = dict[tuple[int, int], float]()
+        for term, own in zip(terms, (values / np.sqrt(np.diag(covariance))).tolist(), strict=True):
+            if not term.part and not term.refines:
+                size[term.place] = max(size.get(term.place, 0.0), own if law in _POSITIVE else abs(own))
+        for place in {term.place for term in terms if term.refines and size.get(term.place, 1.0) > 0.0}:
+            own_terms = [term for term in terms if term.place == place]
+            probability = float(scipy.special.chdtrc(len(own_terms), self.statistic_of(own_terms)))
+            size[place] = math.sqrt(float(scipy.special.chdtri(1, max(probability, _LEAST))))
+        usual = {term.place for term, value in zip(terms, values.tolist()) if value > 0.0 and not term.refines}
+        clear = {place for place, own in size.items() if own > SHOWN}
+        if clear and law in _OF_GEARS:
+            clear |= {place for place, own in size.items() if own > _AS_WELL and place in usual}
+        return tuple(term for term in terms if term.place in clear)
 
 
 def log_chance(statistic: float, parameters: int, tried: int) -> float:
@@ -145,20 +174,12 @@ def log_chance(statistic: float, parameters: int, tried: int) -> float:
     return -half + degree * math.log(half) + math.log1p(degree / half) - math.lgamma(degree + 1.0) + math.log(tried)
 
 
-def with_step(steps: Sequence[SearchStep], step: SearchStep) -> list[SearchStep]:
-    """Add a step; further terms of a law that entered before join its step, except for lines and vibrations."""
-    if step.law in (JointLaw.LINE, JointLaw.VIBRATION) or not has(steps, step.law):
-        return [*steps, step]
-    return [
-        replace(one, terms=one.terms + step.terms, statistic=one.statistic + step.statistic, after_mm=step.after_mm)
-        if one.law is step.law
-        else one
-        for one in steps
-    ]
-
-
-def terms_of(law: JointLaw | MotionLaw, steps: Sequence[SearchStep]) -> tuple[JointTerm, ...]:
-    return tuple(term for step in steps if step.law is law for term in step.terms)
+def step_of(
+    law: JointLaw | MotionLaw, terms: tuple[JointTerm, ...], trial: State, tried: int, before: State
+) -> LawStep:
+    """Return the step from a state to a trial with further terms of a law, the best of ``tried`` alternatives."""
+    statistic = trial.statistic_of(terms)
+    return LawStep(law, terms, statistic, log_chance(statistic, len(tested(terms)), tried), before.heldout_mm)
 
 
 def tested(terms: Sequence[JointTerm]) -> list[JointTerm]:
@@ -166,133 +187,61 @@ def tested(terms: Sequence[JointTerm]) -> list[JointTerm]:
     return [term for term in terms if not term.part]
 
 
-def _with_values(state: State, terms: Sequence[JointTerm]) -> list[tuple[JointTerm, float]]:
-    """Return the terms of one law with their values."""
-    if not terms:
-        return []
-    laws = [term for term in state.problem.layout.terms if term.law is terms[0].law]
-    values = dict(zip(laws, values_of(state, laws)[0].tolist(), strict=True))  # lags relative to the mean of all
-    return [(term, values[term]) for term in terms]
-
-
-def started(state: State, terms: Sequence[JointTerm]) -> Array:
-    """Return the values, with shaped terms set to their shape."""
-    values, first = state.solution.values.copy(), state.problem.layout.geometric
-    for place, term in enumerate(terms, start=first):
-        if term.shape:
-            values[place] = term.start
-    return values
-
-
-def shown(state: State, law: JointLaw | MotionLaw, steps: Sequence[SearchStep]) -> tuple[JointTerm, ...]:
-    """Return the terms of the joints that show a law; springs of the wrong sign do not count. A refining part counts
-    with the plain part of its joint. If one joint shows a law of gears, other joints with the usual sign need half as
-    many standard errors: the law is known by then, and commands without these terms would have larger errors."""
-    terms = terms_of(law, steps)
-    if not terms:
-        return ()
-    values, covariance = values_of(state, terms)
-    size = dict[tuple[int, int], float]()
-    for term, own in zip(terms, (values / np.sqrt(np.diag(covariance))).tolist(), strict=True):
-        if not term.part and not term.refines:
-            size[term.place] = max(size.get(term.place, 0.0), own if law in _POSITIVE else abs(own))
-    for place in {term.place for term in terms if term.refines and size.get(term.place, 1.0) > 0.0}:
-        own_terms = [term for term in terms if term.place == place]
-        probability = float(scipy.special.chdtrc(len(own_terms), statistic_of(state, own_terms)))
-        size[place] = math.sqrt(float(scipy.special.chdtri(1, max(probability, _LEAST))))
-    usual = {term.place for term, value in zip(terms, values.tolist()) if value > 0.0 and not term.refines}
-    clear = {place for place, own in size.items() if own > SHOWN}
-    if clear and law in _OF_GEARS:
-        clear |= {place for place, own in size.items() if own > _AS_WELL and place in usual}
-    return tuple(term for term in terms if term.place in clear)
-
-
-def places_of(state: State, terms: Sequence[JointTerm]) -> list[int]:
-    layout = state.problem.layout
-    return [layout.geometric + layout.terms.index(term) for term in terms]
-
-
-def values_of(state: State, terms: Sequence[JointTerm]) -> tuple[Array, Array]:
-    """Return the values of some terms and their covariance; lags relative to their mean."""
-    places = places_of(state, terms)
-    values = state.solution.values[places]
-    covariance = state.solution.noise.covariance[np.ix_(places, places)]
-    if terms[0].law is JointLaw.LAG:
-        less_mean = np.eye(len(terms)) - 1.0 / len(terms)
-        values, covariance = less_mean @ values, less_mean @ covariance @ less_mean.T
-    return values, covariance
-
-
-def statistic_of(state: State, terms: Sequence[JointTerm]) -> float:
-    """Return the chi-square of some terms."""
-    values, covariance = values_of(state, tested(terms))
-    return float(values @ np.linalg.pinv(covariance, hermitian=True) @ values)
-
-
-def effects_of(state: State, steps: Sequence[SearchStep]) -> list[tuple[MotionEffect, tuple[JointTerm, ...]]]:
-    """Return the effects of all laws that entered and that some joint shows, with the terms of their parameters.
+def effects_of(state: State) -> tuple[MotionEffect, ...]:
+    """Return the effects of all laws that entered and that some joint shows.
 
     Two laws with one cause give one effect: play beside wind-up is the dry part of friction; two cycles beside more
     than three times as much of one cycle are of the same disc.
     """
-    groups = {law: {law: shown(state, law, steps)} for law in dict.fromkeys(step.law for step in steps)}
+    groups = {law: {law: state.shown(law)} for law in dict.fromkeys(step.law for step in state.steps)}
     if groups.get(JointLaw.WINDUP, {}).get(JointLaw.WINDUP) and JointLaw.PLAY in groups:
         groups[JointLaw.WINDUP].update(groups.pop(JointLaw.PLAY))
     if JointLaw.ONE_CYCLE in groups and JointLaw.LINE in groups:
         lines = groups[JointLaw.LINE][JointLaw.LINE]
-        tilted = _of_tilted_discs(state, groups[JointLaw.ONE_CYCLE][JointLaw.ONE_CYCLE], lines)
+        tilted = _of_tilted_discs(state, (*groups[JointLaw.ONE_CYCLE][JointLaw.ONE_CYCLE], *lines))
         groups[JointLaw.ONE_CYCLE][JointLaw.LINE] = tilted
         groups[JointLaw.LINE][JointLaw.LINE] = tuple(term for term in lines if term not in tilted)
-    return [_effect_of(state, group, steps) for group in groups.values() if any(group.values())]
+    return tuple(_effect_of(state, group) for group in groups.values() if any(group.values()))
 
 
-def _of_tilted_discs(state: State, one_cycle: Sequence[JointTerm], lines: Sequence[JointTerm]) -> tuple[JointTerm, ...]:
+def _of_tilted_discs(state: State, waves: Sequence[JointTerm]) -> tuple[JointTerm, ...]:
     """Return lines of two cycles that are less than a third of one cycle of the same joint."""
     size = dict[tuple[int, int], float]()
-    for term, value in [*_with_values(state, one_cycle), *_with_values(state, lines)]:
+    for term, value in zip(waves, state.values_of(waves)[0].tolist(), strict=True):
         size[term.joint, term.cycles] = math.hypot(size.get((term.joint, term.cycles), 0.0), value)
     small = {joint for joint, count in size if count == 2 and size[joint, 2] < size.get((joint, 1), 0.0) / 3.0}
-    return tuple(term for term in lines if term.cycles == 2 and term.joint in small)
+    return tuple(term for term in waves if term.cycles == 2 and term.joint in small)
 
 
-def _effect_of(
-    state: State, group: Mapping[JointLaw | MotionLaw, tuple[JointTerm, ...]], steps: Sequence[SearchStep]
-) -> tuple[MotionEffect, tuple[JointTerm, ...]]:
-    """Return the effect of the first law of a group, to which the other laws belong, and its terms."""
+def _effect_of(state: State, group: Mapping[JointLaw | MotionLaw, tuple[JointTerm, ...]]) -> MotionEffect:
+    """Return the effect of the first law of a group, to which the other laws belong."""
     law, *others = (one for one, its in group.items() if its)
-    terms, values, errors = list[JointTerm](), list[float](), list[float]()
-    for one in (law, *others):
-        all_values, covariance = values_of(state, terms_of(one, steps))
-        places = [terms_of(one, steps).index(term) for term in group[one]]
-        terms += group[one]
-        values += all_values[places].tolist()
-        errors += np.sqrt(np.diag(covariance))[places].tolist()
-    own = [step for step in steps if set(step.terms) & set(terms)]
+    terms = tuple(term for its in group.values() for term in its)
+    values, covariance = state.values_of(terms)
+    own = [step for step in state.steps if set(step.terms) & set(terms)]
     only = OF_SPEEDS if isinstance(law, MotionLaw) else law.only_motion
     if law is JointLaw.LINE and all(term.cycles >= DENSE for term in terms):
         only = "lines as dense as these are aliased by the few hundred stops of a plan"
     log_p, statistic = min(step.log_p for step in own), sum(step.statistic for step in own)
-    dry = JointLaw.PLAY in others
-    effect = MotionEffect(
-        slug=law.value,
-        names=tuple(term.name.replace("half_play", "dry") if dry else term.name for term in terms),
-        units=tuple(term.unit for term in terms),
-        values=np.array(values),
-        standard_errors=np.array(errors),
+    names = [term.name.replace("half_play", "dry") if JointLaw.PLAY in others else term.name for term in terms]
+    errors = np.sqrt(np.diag(covariance)).tolist()
+    at_rest = law in AT_REST
+    found = MotionEffectResult(
+        effect=law.value,
+        title=EFFECTS[law.value].title if law.value in EFFECTS else JointLaw(law.value).title,
         joints=tuple(sorted({term.joint + 1 for term in terms})),
+        parameters=Estimate.by_name(names, values.tolist(), errors, [term.unit for term in terms]),
         evidence=Evidence(
             statistic=statistic,
             corrected_p=math.exp(max(log_p, _LEAST_LOG)),
             heldout_mm=BeforeAfter(before=own[0].before_mm, after=own[-1].after_mm),
         ),
-        only_motion=only,
-        at_rest=law in AT_REST,
-        posterior=_probability(state, statistic, sum(len(tested(step.terms)) for step in own), log_p)
-        * _odds(steps, law),
-        form=_form(law, terms, others),
-        constants=_constants(terms),
+        only_motion=only or None,
+        at_rest=at_rest,
+        law=LawRecord(name=_form(law, terms, others), constants=_constants(terms)) if at_rest else None,
     )
-    return effect, tuple(terms)
+    parameters = sum(len(tested(step.terms)) for step in own)
+    return MotionEffect(found, terms, _probability(state, statistic, parameters, log_p) * _odds(state.steps, law))
 
 
 def _constants(terms: Sequence[JointTerm]) -> dict[str, float]:
@@ -306,37 +255,37 @@ def _constants(terms: Sequence[JointTerm]) -> dict[str, float]:
 
 
 def _form(law: JointLaw | MotionLaw, terms: Sequence[JointTerm], others: Sequence[JointLaw | MotionLaw]) -> str:
-    """Return the form of the effect's law that describes the same at stops; empty if there is none."""
+    """Return the form of the effect's law that describes the same at stops."""
     if any(term.fading for term in terms):
         return "gradual"
     if knees := [term.knee for term in terms if term.knee]:
         return "three_slope" if any(knee.constant is SECOND_KNEE for knee in knees) else "two_slope"
     if others:
         return "both" if JointLaw.PLAY in others else "tilted"
-    return AT_REST.get(law, "") if isinstance(law, JointLaw) else ""
+    return AT_REST[law]
 
 
-def beside_others(state: State, step: SearchStep) -> SearchStep:
+def beside_others(state: State, step: LawStep) -> LawStep:
     """Return the step with the evidence of its terms beside all others. It may be larger than when the step entered:
     until then, effects of the others counted as noise."""
     parameters = len(tested(step.terms))
-    statistic = statistic_of(state, step.terms)
+    statistic = state.statistic_of(step.terms)
     more = log_chance(statistic, parameters, 1) - log_chance(step.statistic, parameters, 1)
     return replace(step, statistic=statistic, log_p=min(step.log_p + more, 0.0), other_log_p=step.other_log_p + more)
 
 
-def is_improbable(state: State, step: SearchStep) -> bool:
+def is_improbable(state: State, step: LawStep) -> bool:
     """Return whether a step is more probably absent than present."""
     return _probability(state, step.statistic, len(tested(step.terms)), step.log_p) < 0.5
 
 
-def _odds(steps: Sequence[SearchStep], law: JointLaw | MotionLaw) -> float:
+def _odds(steps: Sequence[LawStep], law: JointLaw | MotionLaw) -> float:
     """Return the probability of a law against the one confounded with it, at even prior odds, by the evidence of
     either; 1 if both entered or none is confounded."""
-    if law not in CONFOUNDED or all(has(steps, one) for one in CONFOUNDED):
+    entered = {step.law: step for step in steps if step.law in CONFOUNDED}
+    if law not in entered or len(entered) == len(CONFOUNDED):
         return 1.0
-    first = next(step for step in steps if step.law is law)
-    return float(scipy.special.expit(first.other_log_p - first.log_p))
+    return float(scipy.special.expit(entered[law].other_log_p - entered[law].log_p))
 
 
 def _probability(state: State, statistic: float, parameters: int, log_p: float) -> float:
@@ -369,12 +318,7 @@ _REACH: Mapping[JointLaw | MotionLaw, tuple[tuple[float, float], ...]] = {
 """Bounds of the shapes: time constant [s]; gain [s^2], frequency [Hz], damping."""
 
 
-def vibration(joint: int, shape: tuple[float, ...]) -> tuple[JointTerm, ...]:
-    """Return the terms of a vibration of a joint (from 0): gain [s^2], frequency [Hz], damping ratio."""
-    return tuple(JointTerm(JointLaw.VIBRATION, joint, shape=shape, part=part) for part in range(3))
-
-
-def reshaped(terms: Sequence[JointTerm], values: Sequence[float]) -> tuple[JointTerm, ...]:
+def reshaped(terms: Sequence[JointTerm], values: Sequence[float]) -> list[JointTerm]:
     """Return the terms linearised at their ``values``; those without a shape unchanged."""
     found, rest = list(terms), dict(zip(terms, values, strict=True))
     for place, term in enumerate(terms):
@@ -385,7 +329,7 @@ def reshaped(terms: Sequence[JointTerm], values: Sequence[float]) -> tuple[Joint
         # at most a factor of two at once: far from its shape the linearisation fails
         shape = tuple(float(np.clip(new, 0.5 * old, 2.0 * old)) for new, old in zip(shape, term.shape))
         found[place] = replace(term, shape=shape)
-    return tuple(found)
+    return found
 
 
 def settled(terms: Sequence[JointTerm], before: Sequence[JointTerm]) -> bool:
@@ -395,25 +339,27 @@ def settled(terms: Sequence[JointTerm], before: Sequence[JointTerm]) -> bool:
 
 
 def strongest_vibration(
-    problem: Fittings, solution: Solution, taken: Sequence[int]
+    problem: MotionProblem, solution: Solution, taken: Sequence[int]
 ) -> tuple[float, tuple[JointTerm, ...]]:
     """Find the vibration that is least likely to be chance, of a joint that is not ``taken``; return half of its
     chi-square, and its terms."""
-    free = sorted(set(range(problem.layout.parameters.joints)) - set(taken))
+    free = sorted(set(range(problem.parameters.joints)) - set(taken))
     product, square = _matched(problem, solution, free)
     product, square = np.maximum(product, 0.0), np.maximum(square, 1e-300)  # springs yield to a load, never against it
     power = 0.5 * product**2 / square
     joint, place = np.unravel_index(int(np.argmax(power)), power.shape)
     gain = float(product[joint, place] / square[joint, place])
-    return float(power[joint, place]), vibration(int(joint), (gain, float(FREQUENCIES[place]), _DAMPING))
+    shape = (gain, float(FREQUENCIES[place]), _DAMPING)
+    terms = tuple(JointTerm(JointLaw.VIBRATION, int(joint), shape=shape, part=part) for part in range(len(shape)))
+    return float(power[joint, place]), terms
 
 
-def _matched(problem: Fittings, solution: Solution, free: Sequence[int]) -> tuple[Array, Array]:
+def _matched(problem: MotionProblem, solution: Solution, free: Sequence[int]) -> tuple[Array, Array]:
     """Return the products of residuals and unit responses by joint and frequency (N, F), and of the responses with
     themselves, in units of the noise; zero for joints that are not ``free``."""
     from scipy.signal import freqz  # it loads scipy.stats: not for commands without recordings
 
-    product, square = np.zeros((2, problem.layout.parameters.joints, len(FREQUENCIES)))
+    product, square = np.zeros((2, problem.parameters.joints, len(FREQUENCIES)))
     for track, white, u, scale, angular, weight in white_residuals(problem, solution, twice=True):
         _, gain = freqz(white, 1.0, 2.0 * math.pi * FREQUENCIES * track.stamps.period_s)
         even = track.path.even
@@ -426,21 +372,21 @@ def _matched(problem: Fittings, solution: Solution, free: Sequence[int]) -> tupl
 
 
 def white_residuals(
-    problem: Fittings, solution: Solution, *, twice: bool = False
+    problem: MotionProblem, solution: Solution, *, twice: bool = False
 ) -> Iterator[tuple[Track, Array, Array, float, Array, Array]]:
     """Yield each recording, its whitening filter, times (n,) of its points, the inverse of the variance of its filtered
     residuals, and ``_rotated`` of these; ``twice``: filtered once more, backwards, as if columns passed the filter."""
     from scipy.signal import lfilter  # as in ``_matched``
 
-    model = problem.model(solution.values)
+    values, geometry = solution.values, problem.geometry(solution.values)
     for number, (track, source) in enumerate(zip(problem.tracks, solution.sources)):
         white = np.ones(1) if problem.whitening is None else problem.whitening[number]
-        filtered = lfilter(white, [1.0], residuals(model, track, number, source.rows), axis=0)
+        filtered = lfilter(white, [1.0], residuals(problem, values, number, source.rows), axis=0)
         scale = 1.0 / max(float(np.mean(filtered**2)), 1e-300)
         if twice:
             filtered = lfilter(white, [1.0], filtered[::-1], axis=0)[::-1]
-        u = track.controller_times(source.rows, *model.clock(number))
-        yield track, white, u, scale, *_rotated(model.geometry, track.path.at(u)[0], filtered)
+        u = track.controller_times(source.rows, values[problem.clock(number)])
+        yield track, white, u, scale, *_rotated(geometry, track.path.at(u)[0], filtered)
 
 
 def _rotated(geometry: Geometry, q: Array, residuals: Array) -> tuple[Array, Array]:
@@ -452,20 +398,6 @@ def _rotated(geometry: Geometry, q: Array, residuals: Array) -> tuple[Array, Arr
         parts.append((np.einsum("ajn,na->nj", J, own), np.einsum("ajn,ajn->nj", J, J)))
     angular, weight = (np.concatenate(each) for each in zip(*parts, strict=True))
     return angular, weight
-
-
-def lagging_joints(terms: Sequence[JointTerm], values: Array, errors: Array, shown: float) -> tuple[JointTerm, ...]:
-    """Return time constants of the joints that accelerations turn against the sense of a spring.
-
-    A lag of time constant T adds ``T^2 qdd / 2`` to a delay.
-
-    ``terms`` are the terms of ``JointLaw.INERTIA`` with their values [s^2] and standard errors (N,).
-    """
-    which: NDArray[np.intp] = np.flatnonzero(values < -shown * errors)
-    return tuple(
-        JointTerm(JointLaw.TIME_CONSTANT, terms[place].joint, shape=(math.sqrt(-2.0 * float(values[place])),))
-        for place in which
-    )
 
 
 # -- Information of stops and sweeps before any motion, by which sweeps are chosen -------------------------------------

@@ -17,9 +17,9 @@ from cellapp.robot.kinematics.transforms import Array
 _Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class JointStream:
-    """n samples of one arm with N joints, in the order in which the controller gave them.
+    """n samples of one arm with N joints, in the order in which the controller gave them; checked on import.
 
     Attributes
     ----------
@@ -29,51 +29,19 @@ class JointStream:
         Joint positions [rad].
     qd : array, shape (n, N), or None
         Joint speeds [rad/s].
-    tau, current : array, shape (n, N), or None
-        Joint torques [Nm]; motor currents [A].
-    joint_temperature : array, shape (n, N), or None
-        Joint temperatures [degC].
     other_q : array, shape (n, K), or None
         Joint positions of the other arm of the cell, if it moved meanwhile [rad].
-
-    Raises
-    ------
-    ValueError
-        If a shape is wrong, a stamp or a joint position is not finite, or there are fewer than two samples.
     """
 
     time_s: _Floats = field(repr=False)
     q: _Floats = field(repr=False)
     qd: _Floats | None = field(default=None, repr=False)
-    joint_temperature: _Floats | None = field(default=None, repr=False)
     other_q: _Floats | None = field(default=None, repr=False)
 
-    def __post_init__(self) -> None:
-        n = _stamps("joint samples", self.time_s)
-        if self.q.ndim != 2 or self.q.shape[0] != n or self.q.shape[1] == 0:
-            raise ValueError(f"expected q of shape ({n}, joints), got {self.q.shape}")
-        for name in ("q", "qd", "joint_temperature"):
-            _check(name, getattr(self, name), self.q.shape)
-        if self.other_q is not None:
-            _check("other_q", self.other_q, (n, self.other_q.shape[-1]))
-        if not np.isfinite(self.q).all():
-            raise ValueError("joint positions must be finite numbers")
 
-    def __len__(self) -> int:
-        return len(self.time_s)
-
-    def __repr__(self) -> str:
-        return f"JointStream({len(self)} samples of {self.joints} joints)"
-
-    @property
-    def joints(self) -> int:
-        """Number of joints N."""
-        return int(self.q.shape[1])
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class PointStream:
-    """m points of the tracker, in the order in which they were measured.
+    """m points of the tracker, in the order in which they were measured; checked on import.
 
     Attributes
     ----------
@@ -83,35 +51,14 @@ class PointStream:
         SMR centre in the tracker frame [m].
     sigma_m : array, shape (m,), or None
         Isotropic standard uncertainty of each point [m].
-    quaternion : array, shape (m, 4), or None
-        Orientation of the probe's frame S in M, scalar first.
     held_out : array of bool, shape (m,), or None
         Mask of points that no fit may use (`split` validate); None if the file does not state it.
-
-    Raises
-    ------
-    ValueError
-        If a shape is wrong, a stamp or a coordinate is not finite, or there are fewer than two points.
     """
 
     time_s: _Floats = field(repr=False)
     p_M: _Floats = field(repr=False)
     sigma_m: _Floats | None = field(default=None, repr=False)
-    quaternion: _Floats | None = field(default=None, repr=False)
     held_out: NDArray[np.bool_] | None = field(default=None, repr=False)
-
-    def __post_init__(self) -> None:
-        m = _stamps("points", self.time_s)
-        for name, shape in (("p_M", (m, 3)), ("sigma_m", (m,)), ("quaternion", (m, 4)), ("held_out", (m,))):
-            _check(name, getattr(self, name), shape)
-        if not np.isfinite(self.p_M).all():
-            raise ValueError("points must be finite numbers; leave out the stamps without a point")
-
-    def __len__(self) -> int:
-        return len(self.time_s)
-
-    def __repr__(self) -> str:
-        return f"PointStream({len(self)} points)"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -122,19 +69,6 @@ class Recording:
     arm: str
     joints: JointStream
     points: PointStream
-
-
-def _stamps(what: str, time_s: _Floats) -> int:
-    if time_s.ndim != 1 or len(time_s) < 2:
-        raise ValueError(f"expected time_s of at least two {what}, got shape {time_s.shape}")
-    if not np.isfinite(time_s).all():
-        raise ValueError(f"time_s of {what} must be finite numbers")
-    return len(time_s)
-
-
-def _check(name: str, value: NDArray[np.generic] | None, shape: tuple[int, ...]) -> None:
-    if value is not None and value.shape != shape:
-        raise ValueError(f"expected {name} of shape {shape}, got {value.shape}")
 
 
 # -- Timestamps of a recording read as a clock: repeats, gaps, jitter, and steps of the clock -------------------------

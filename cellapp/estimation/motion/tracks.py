@@ -236,8 +236,8 @@ class Track:
     sigma_m : array, shape (m,), or None
     segment : array of int, shape (m,)
         Index of the part between steps of either clock.
-    offsets_s : array, shape (S,)
-        Start values: tracker's timestamps less those of the controller, by segment.
+    clock_s : array, shape (S + 1,)
+        Tracker's timestamps less those of the controller, by segment, and the rate; start values, or those of a fit.
     middle_s : float
         Timestamp at which offsets are stated.
     learnt, held_out : array of bool, shape (m,)
@@ -252,16 +252,21 @@ class Track:
     p_M: Array = field(repr=False)
     sigma_m: Array | None = field(repr=False)
     segment: NDArray[np.intp] = field(repr=False)
-    offsets_s: Array
+    clock_s: Array
     middle_s: float
     learnt: NDArray[np.bool_] = field(repr=False)
     held_out: NDArray[np.bool_] = field(repr=False)
     start: ClockStart = field(repr=False)
 
-    def controller_times(self, rows: NDArray[np.intp], offsets_s: Array, rate: float) -> Array:
-        """Return the times of some points by the controller's clock [s]."""
-        t = self.time_s[rows]
-        return np.asarray(t - offsets_s[self.segment[rows]] - rate * (t - self.middle_s))
+    @property
+    def learnt_s(self) -> float:
+        """Time of the training points [s]."""
+        return float(np.count_nonzero(self.learnt) * self.stamps.period_s)
+
+    def controller_times(self, rows: NDArray[np.intp], clock_s: Array | None = None) -> Array:
+        """Return the times of some points by the controller's clock [s], with another ``clock_s`` if given."""
+        t, clock_s = self.time_s[rows], self.clock_s if clock_s is None else clock_s
+        return np.asarray(t - clock_s[self.segment[rows]] - clock_s[-1] * (t - self.middle_s))
 
 
 def track_of(recording: Recording, nominal: Geometry, *, tool_unknown: bool, seed: int) -> Track:
@@ -273,8 +278,9 @@ def track_of(recording: Recording, nominal: Geometry, *, tool_unknown: bool, see
         If it is at rest, the clocks do not overlap, the points do not belong to these joints, or too few are left.
     """
     where = f"recording '{recording.name}' of arm '{recording.arm}'"
-    if recording.joints.joints != nominal.joints:
-        raise InputError(f"{where}: {recording.joints.joints} joints, but the arm has {nominal.joints}")
+    joints = recording.joints.q.shape[1]
+    if joints != nominal.joints:
+        raise InputError(f"{where}: {joints} joints, but the arm has {nominal.joints}")
     try:
         path, stamps = joint_path(recording.joints), read_stamps(recording.points.time_s, recording.points.p_M)
     except ValueError as error:
@@ -291,24 +297,16 @@ def track_of(recording: Recording, nominal: Geometry, *, tool_unknown: bool, see
         )
     segment, beside = _segments(path, stamps, time - start.offset_s, where)
     known = path.known(time - start.offset_s) & path.begun(time - start.offset_s) & ~beside
-    held_out = points.held_out
-    track = Track(
-        recording.name,
-        path,
-        stamps,
-        time,
-        p_M,
-        None if points.sigma_m is None else points.sigma_m[stamps.rows],
-        segment,
-        np.full(int(segment.max()) + 1, start.offset_s),
-        float((time[0] + time[-1]) / 2.0),
-        known,
-        known,
-        start,
-    )
-    track = _with_segment_starts(track, usual & known, nominal, tool_unknown, where)
+    offsets = np.full(int(segment.max()) + 1, start.offset_s)
+    for number in range(len(offsets)) if len(offsets) > 1 else ():
+        rows = np.flatnonzero((segment == number) & usual & known)
+        if _starts_elsewhere(start, path, time[rows], p_M[rows]):
+            own = clock_start(nominal, path, time[rows], p_M[rows], tool_unknown=tool_unknown, where=where)
+            offsets[number] = own.offset_s
     validate, guard = (
-        _sampled(time, known, seed) if held_out is None else (held_out[stamps.rows], np.zeros(len(time), bool))
+        _sampled(time, known, seed)
+        if points.held_out is None
+        else (points.held_out[stamps.rows], np.zeros(len(time), bool))
     )
     learnt = known & ~validate & ~guard
     if learnt.sum() < _LEAST_POINTS:
@@ -316,8 +314,21 @@ def track_of(recording: Recording, nominal: Geometry, *, tool_unknown: bool, see
             f"{where}: {int(learnt.sum())} points lie at times at which the joints are known and are not held out; at"
             f" least {_LEAST_POINTS} are needed"
         )
-    clock_known = np.bincount(segment[learnt], minlength=len(track.offsets_s)) >= _FEWEST_OF_SEGMENT
-    return replace(track, learnt=learnt, held_out=known & validate & clock_known[segment])
+    clock_known = np.bincount(segment[learnt], minlength=len(offsets)) >= _FEWEST_OF_SEGMENT
+    return Track(
+        recording.name,
+        path,
+        stamps,
+        time,
+        p_M,
+        None if points.sigma_m is None else points.sigma_m[stamps.rows],
+        segment,
+        np.append(offsets, 0.0),
+        float((time[0] + time[-1]) / 2.0),
+        learnt,
+        known & validate & clock_known[segment],
+        start,
+    )
 
 
 def _segments(
@@ -338,25 +349,12 @@ def _segments(
     return segment, beside
 
 
-def _with_segment_starts(
-    track: Track, usual: NDArray[np.bool_], nominal: Geometry, tool_unknown: bool, where: str
-) -> Track:
-    """Give segments that do not fit at the recording's delay their own start: samples were lost at a step."""
-    offsets = track.offsets_s.copy()
-    if len(offsets) == 1:
-        return track
-    for number in range(len(offsets)):
-        rows = np.flatnonzero((track.segment == number) & usual)
-        if len(rows) < 20 or np.ptp(track.time_s[rows]) < _SEGMENT_S:
-            continue
-        q, _ = track.path.at(track.time_s[rows] - offsets[number])
-        misses = np.linalg.norm(smr_positions(track.start.nominal, q) - track.p_M[rows], axis=1)
-        if np.median(misses) > _BAD_START * track.start.rms_m:
-            own = clock_start(
-                nominal, track.path, track.time_s[rows], track.p_M[rows], tool_unknown=tool_unknown, where=where
-            )
-            offsets[number] = own.offset_s
-    return replace(track, offsets_s=offsets)
+def _starts_elsewhere(start: ClockStart, path: TimedPath, time_s: Array, p_M: Array) -> bool:
+    """Return whether the points of a segment do not fit at the recording's delay: samples were lost at a step."""
+    if len(time_s) < _FEWEST_OF_SEGMENT or np.ptp(time_s) < _SEGMENT_S:
+        return False
+    misses = np.linalg.norm(smr_positions(start.nominal, path.at(time_s - start.offset_s)[0]) - p_M, axis=1)
+    return bool(np.median(misses) > _BAD_START * start.rms_m)
 
 
 def _sampled(time: Array, known: NDArray[np.bool_], seed: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:

@@ -17,7 +17,7 @@ from cellapp.estimation.motion.effects import effects_in_motion
 from cellapp.estimation.motion.fit import solve
 from cellapp.estimation.motion.identify import RecordedArm, identify_from_motion, motion_problem
 from cellapp.estimation.motion.laws import JointLaw, JointTerm, joint_path, of_all_joints, state_in_motion
-from cellapp.estimation.motion.search_state import SearchStep, State, effects_of
+from cellapp.estimation.motion.search_state import LawStep, State, effects_of
 from cellapp.estimation.motion.streams import JointStream
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import DiscoverySettings
@@ -85,7 +85,11 @@ class Elastic(Arm):
 
 def found_in(*recordings, **options):
     discovery = effects_in_motion(RecordedArm(NOMINAL, recordings, tool_unknown=True, **options))
-    return discovery, {effect.slug: effect for effect in discovery.effects}
+    return discovery, {effect.found.effect: effect.found for effect in discovery.effects}
+
+
+def values_of(effect):
+    return np.array([parameter.value for parameter in effect.parameters.values()])
 
 
 def test_time_constants_and_vibration_are_named_with_their_sizes_and_stay_out_of_commands():
@@ -94,8 +98,8 @@ def test_time_constants_and_vibration_are_named_with_their_sizes_and_stay_out_of
     arm = replace(true_arm(rng), time_constant=late, springs={0: (9.0, 0.04)})
     discovery, found = found_in(record(rng, arm, corners(rng, 6, 60.0), seconds=60.0, point_hz=50.0, slow=10e-6))
     assert set(found) == {"time_constant", "vibration", "inertia"}
-    assert found["time_constant"].values == pytest.approx(late[:6], abs=1e-3)
-    gain, hz, damping = found["vibration"].values
+    assert values_of(found["time_constant"]) == pytest.approx(late[:6], abs=1e-3)
+    gain, hz, damping = values_of(found["vibration"])
     assert (gain, hz, damping) == pytest.approx((1.0 / (2.0 * np.pi * 9.0) ** 2, 9.0, 0.04), rel=0.1)
     assert found["inertia"].joints == found["vibration"].joints == (1,)
     assert all(effect.only_motion and not effect.at_rest for effect in found.values())
@@ -121,16 +125,18 @@ def test_two_cycles_beside_much_more_of_one_are_of_the_same_disc():
     one_cycle = of_all_joints(JointLaw.ONE_CYCLE, 6)
     lines = tuple(JointTerm(JointLaw.LINE, joint, 2, sine) for joint in range(2) for sine in (False, True))
     steps = [
-        SearchStep(law, its, 100.0, -50.0, 1.0, 1.0)
+        LawStep(law, its, 100.0, -50.0, 1.0, 1.0)
         for law, its in ((JointLaw.LINE, lines), (JointLaw.ONE_CYCLE, one_cycle))
     ]
-    problem = problem.without_terms().with_terms((*lines, *one_cycle))
-    (gear, of_gear), (disc, of_disc) = effects_of(State(problem, solve(problem), 1.0), steps)
-    assert (gear.slug, gear.joints, gear.form) == ("transmission_error", (2,), "lines")
-    assert of_gear == lines[2:]
-    assert (disc.slug, disc.form, disc.at_rest) == ("encoder_eccentricity", "tilted", True)
-    assert set(of_disc) >= set(lines[:2])
-    value, q = dict(zip(disc.names, disc.values.tolist(), strict=True)), rng.uniform(-1.0, 1.0, (20, 6))
+    problem = problem.with_terms((*lines, *one_cycle))
+    gear, disc = effects_of(State(problem, solve(problem), 1.0, tuple(steps)))
+    assert gear.found.law is not None
+    assert disc.found.law is not None
+    assert (gear.found.effect, gear.found.joints, gear.found.law.name) == ("transmission_error", (2,), "lines")
+    assert gear.terms == lines[2:]
+    assert (disc.found.effect, disc.found.law.name, disc.found.at_rest) == ("encoder_eccentricity", "tilted", True)
+    assert set(disc.terms) >= set(lines[:2])
+    value, q = {name: one.value for name, one in disc.found.parameters.items()}, rng.uniform(-1.0, 1.0, (20, 6))
     context = EffectContext(q, MeasurementConditions(), NOMINAL, BODIES, np.array([0.0, 0.0, 1.0]))
     angular = displacement([disc.term()], EFFECTS, context).joints[:, 0]
     waves = [value[f"{w}{n}q1"] * of(n * q[:, 0]) for n in (1, 2) for w, of in (("cos", np.cos), ("sin", np.sin))]
@@ -160,7 +166,7 @@ def test_elastic_joints_are_named_with_their_size_and_no_point_is_a_gross_error(
     discovery, found = found_in(*recordings, bodies=BODIES, up_M=np.array([0.0, 0.0, 1.0]))
     assert set(found) == {"joint_compliance"}
     spring = found["joint_compliance"]
-    size = dict(zip(spring.joints, zip(spring.values, spring.standard_errors), strict=True))
+    size = dict(zip(spring.joints, ((p.value, p.standard_error) for p in spring.parameters.values()), strict=True))
     assert size.pop(2)[0] == pytest.approx(17e-6, rel=0.02)
     assert size.pop(3)[0] == pytest.approx(29e-6, rel=0.02)
     assert all(value < 4.0 * error for value, error in size.values())  # other joints have what predicts best: little
@@ -174,8 +180,8 @@ def test_springs_that_are_softer_below_a_knee_are_named_with_it():
     discovery, found = found_in(*recordings, bodies=BODIES, up_M=np.array([0.0, 0.0, 1.0]))
     assert set(found) == {"joint_compliance"}
     spring = found["joint_compliance"]
-    assert spring.form in ("two_slope", "three_slope")
-    value, constants = dict(zip(spring.names, spring.values, strict=True)), spring.constants
+    assert spring.law.name in ("two_slope", "three_slope")
+    value, constants = {name: one.value for name, one in spring.parameters.items()}, spring.law.constants
     for joint, stiff in ((2, 17e-6), (3, 29e-6)):
         for torque in (10.0, 60.0):
             twist = value[f"compliance{joint}"] * torque
@@ -293,8 +299,8 @@ def test_it_is_found_in_recordings_with_its_size(plugin):
     assert set(found) == {GREASE}
     drag = found[GREASE]
     assert {1, 2} <= set(drag.joints)
-    assert drag.names[:2] == ("drag1", "drag2")
-    assert drag.values[:2] == pytest.approx(TRUE[:2], rel=0.1)
+    assert list(drag.parameters)[:2] == ["drag1", "drag2"]
+    assert values_of(drag)[:2] == pytest.approx(TRUE[:2], rel=0.1)
     assert not drag.at_rest
     assert "speeds" in drag.only_motion
     assert discovery.heldout_after_mm < discovery.heldout_before_mm
@@ -324,7 +330,7 @@ def test_accelerations_are_those_of_the_path():
     q = np.stack([0.5 * np.sin(2.0 * t), 0.2 * np.cos(3.0 * t)], axis=1)
     path = joint_path(JointStream(time_s=t, q=q))
     inside = np.linspace(0.5, 3.5, 40)
-    found = state_in_motion(path, inside, None, torques=False).quantity("qdd")
+    found = state_in_motion(path, inside, None).quantity("qdd")
     assert found == pytest.approx(
         np.stack([-2.0 * np.sin(2.0 * inside), -1.8 * np.cos(3.0 * inside)], axis=1), abs=0.02
     )

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cellapp.estimation.motion.fit import solve
-from cellapp.estimation.motion.identify import RecordedArm, identify_from_motion, motion_problem
+from cellapp.estimation.motion.identify import RecordedArm, identify_from_motion, motion_problem, rms
 from cellapp.estimation.motion.residuals import Stops, residuals
 from cellapp.estimation.motion.streams import JointStream, PointStream, Recording
 from cellapp.ground.errors import InputError, NotConverged
@@ -31,6 +31,10 @@ def case():
 def fit_of(*recordings, nominal=UR10, tool_unknown=True, **options):
     arm = RecordedArm(nominal_geometry(nominal, np.zeros(3)), recordings, tool_unknown=tool_unknown, **options)
     return identify_from_motion(arm)
+
+
+def rms_mm(fit):
+    return rms(np.concatenate([one.heldout_mm for one in fit.recordings.values()]))
 
 
 def clock_holds(clock, offset_s, rate_ppm, errors=4.0):
@@ -60,11 +64,11 @@ def test_stamps_that_jitter_about_a_regular_clock_are_replaced_by_it(case):
     arm, motion, _ = case
     rng = np.random.default_rng(8)
     recording = record(rng, arm, motion, with_speeds=False)
-    time = np.maximum.accumulate(recording.joints.time_s + rng.uniform(0.0, 6e-3, len(recording.joints)))
+    time = np.maximum.accumulate(recording.joints.time_s + rng.uniform(0.0, 6e-3, len(recording.joints.time_s)))
     fit = fit_of(replace(recording, joints=JointStream(time_s=time, q=recording.joints.q)))
     clock = fit.clocks["sweep"]
     assert clock.offset_s == pytest.approx(0.0178 - 3e-3, abs=3e-4)  # stamps are 3 ms late in the mean
-    assert fit.heldout_rms_mm < 0.1
+    assert rms_mm(fit) < 0.1
 
 
 @pytest.mark.parametrize(
@@ -105,7 +109,7 @@ def test_steps_and_resets_of_either_clock_are_found_and_named(case):
     assert len(clock.segments) == 3
     for segment in clock.segments:
         assert segment.offset_s == pytest.approx(0.0178, abs=5e-4)
-    assert fit.heldout_rms_mm < 0.1
+    assert rms_mm(fit) < 0.1
 
 
 def test_a_part_before_a_step_of_a_clock_of_which_nothing_is_learnt_leaves_the_rest_as_it_is(case):
@@ -119,7 +123,7 @@ def test_a_part_before_a_step_of_a_clock_of_which_nothing_is_learnt_leaves_the_r
     assert fit.recordings["sweep"].result.held_out == 1000
     assert clock.offset_standard_error_s < 1e-3
     assert clock.offset_s == pytest.approx(0.0178, abs=5e-4)
-    assert fit.heldout_rms_mm < 0.1
+    assert rms_mm(fit) < 0.1
 
 
 def test_stops_and_recordings_in_one_fit(case):
@@ -139,7 +143,7 @@ def test_stops_and_recordings_in_one_fit(case):
 
 def test_blocks_that_the_file_holds_out_are_kept_apart(case):
     recording = case[2]
-    held_out = np.zeros(len(recording.points), dtype=bool)
+    held_out = np.zeros(len(recording.points.time_s), dtype=bool)
     held_out[3000:5000] = True
     spoilt = recording.points.p_M.copy()
     spoilt[3000:5000] += 2e-3
@@ -160,7 +164,7 @@ def test_what_little_excitation_leaves_open_is_said(case):
         assert f"joint {joint} moved by 0.00 deg only" in said
     assert "joint 1 moved" not in said
     assert fit.undetermined[0].startswith("these motions determine ")
-    assert fit.heldout_rms_mm < 0.1
+    assert rms_mm(fit) < 0.1
 
 
 def test_recordings_that_tell_nothing_are_refused(case):
@@ -168,9 +172,11 @@ def test_recordings_that_tell_nothing_are_refused(case):
     points, joints = recording.points, recording.joints
     cases = {
         "joints are at rest": replace(
-            recording, joints=replace(joints, q=np.tile(joints.q[0], (len(joints), 1)), qd=None)
+            recording, joints=replace(joints, q=np.tile(joints.q[0], (len(joints.q), 1)), qd=None)
         ),
-        "points are at rest": replace(recording, points=replace(points, p_M=np.tile(points.p_M[0], (len(points), 1)))),
+        "points are at rest": replace(
+            recording, points=replace(points, p_M=np.tile(points.p_M[0], (len(points.p_M), 1)))
+        ),
         "wherever its base is": replace(recording, points=replace(points, p_M=points.p_M * 1e3)),
     }
     for words, bad in cases.items():
@@ -212,7 +218,7 @@ def test_short_recordings_of_one_arm_with_errors_of_their_own_fit_alike_beside_a
     found = dict(fit.recordings)
     (of_the_bad_one,) = (sentence for sentence in fit.undetermined if "other recordings agree to" in sentence)
     assert of_the_bad_one.startswith("recording '4': ")
-    assert sum("the rate between the clocks" in sentence for sentence in fit.undetermined) == 1
+    assert len(fit.undetermined) == 1
     spoilt = found.pop("4")
     scatter = np.array([one.result.scatter_mm for one in found.values()])
     assert scatter.max() < 2.5 * np.median(scatter)
@@ -227,7 +233,7 @@ def test_an_arm_of_which_one_joint_moves_is_fitted_and_the_sentence_says_what_it
     fit = fit_of(record(np.random.default_rng(17), arm, still, seconds=40.0, with_speeds=False))
     assert "predictions hold near them only" in fit.undetermined[0]
     assert sum("moved by 0.00 deg only" in sentence for sentence in fit.undetermined) == 5
-    assert fit.heldout_rms_mm < 0.12
+    assert rms_mm(fit) < 0.12
 
 
 def test_an_arm_of_another_type_is_doubted(case):
@@ -249,11 +255,11 @@ def test_from_values_that_are_far_off_no_recording_fits_worse_than_there_and_too
     )
     near = solve(problem)
     far = near.values.copy()
-    base = [problem.layout.parameters.names.index(name) for name in ("x0", "y0", "z0", "alpha0", "beta0", "theta0")]
+    base = [problem.parameters.names.index(name) for name in ("x0", "y0", "z0", "alpha0", "beta0", "theta0")]
     far[base] += [0.3, -0.2, 0.2, 0.6, -0.5, 0.6]
 
     def square(values):
-        return float(np.sum(residuals(problem.model(values), problem.tracks[0], 0, near.sources[0].rows) ** 2))
+        return float(np.sum(residuals(problem, values, 0, near.sources[0].rows) ** 2))
 
     values = solve(problem, far).values
     assert square(values) <= square(far)
