@@ -24,7 +24,7 @@ from cellapp.estimation.calibration.least_squares import mean_variance
 from cellapp.estimation.calibration.network_training import learning_steps
 from cellapp.estimation.calibration.pair_calibration import calibrate_pair
 from cellapp.estimation.calibration.quantities import ArmReadings, states_nothing
-from cellapp.estimation.discovery.accepted import accepted_effects, contradictions, pictures
+from cellapp.estimation.discovery.accepted import accepted_effects, pictures
 from cellapp.estimation.discovery.all_readings import fit_terms_to_all, fit_to_all
 from cellapp.estimation.discovery.arm_data import UNKNOWN, ArmData, smoothness_of
 from cellapp.estimation.discovery.joint_fit import noise_of, with_posterior
@@ -44,8 +44,7 @@ from cellapp.ground.profile import Profile
 from cellapp.ground.progress import UNATTENDED, UNTOLD, JobSteps, JobToken, SharedProgress
 from cellapp.ground.threads import give_back
 from cellapp.robot.effects import EFFECTS
-from cellapp.robot.kinematics.transforms import Array
-from cellapp.robot.model import ArmModel, CellModel, ResidualNetwork
+from cellapp.robot.model import ArmModel, CellModel
 from cellapp.robot.model.nominal import prior_sigmas
 
 _MOST_SEARCHED = 400
@@ -186,7 +185,6 @@ def _evaluated(arm: ArmReadings, result: Searched, held_out: HeldOut, started: f
         scatter=None if spread is None else spread.ratio,
         accepted=accepted,
         candidates=probable.effects,
-        contradictions=contradictions(terms, accepted),
         structure=structure,
         invisible=invisible,
         not_found=not_found,
@@ -368,7 +366,7 @@ def _gap_steps(
     return tuple(GapStep(what=what, effect=effect, heldout_mm=error_mm) for what, effect, error_mm in errors)
 
 
-# -- Residual network after discovery: size of its remaining correction, and a model of unnamed effects ---------------
+# -- Residual network after discovery: a model of effects without a name ----------------------------------------------
 
 
 _READINGS_A_FOLD = 2
@@ -376,53 +374,32 @@ _READINGS_A_FOLD = 2
 
 
 def needs_network(profile: Profile, discovery: ArmFound) -> bool:
-    """Return whether the profile asks for a network beside the effects of this outcome.
+    """Return whether the profile asks for a network beside the effects of this outcome, of which one stays unknown.
 
     There is none beside effects from recordings: samples of motion contain what no pose at rest has.
     """
-    motion = discovery.result.motion
-    if profile.network.kind == "none" or (motion is not None and motion.used):
+    found = discovery.result
+    if (found.motion is not None and found.motion.used) or (found.unnamed is not None and found.unnamed.in_force):
         return False
-    if discovery.result.unnamed is not None and discovery.result.unnamed.in_force:
-        return False
-    asked = profile.discovery.network
-    return asked == "always" or (asked == "unknown" and discovery.result.verdict == "unknown effect")
+    asked = profile.network.kind != "none" and profile.discovery.network != "never"
+    return asked and bool(discovery.terms) and found.verdict == "unknown effect"
 
 
 def with_network(arm: ArmReadings, discovery: ArmFound, steps: JobSteps = UNTOLD) -> ArmFound:
-    """Add to the outcome the corrections of a network before and after the accepted effects.
+    """Add to the model a network for what the accepted effects leave.
 
-    The network joins the model only if an effect stays unknown and the network predicts the left-out folds of its
-    training readings better than none. Held-out readings judge the result; they do not select it.
+    It joins only if it predicts the left-out folds of its training readings better than none. Held-out readings judge
+    the result; they do not select it.
     """
-    held_out = HeldOut.of(arm.readings, arm.conditions)
-    network = discovery.model.network
     learnt = replace(arm, model=discovery.model).take(arm.readings.in_split("identify", "train"))
-    if discovery.terms:
-        network = _train(learnt, steps)
-    q = held_out.readings.q
-    corrections = BeforeAfter(before=_correction_mm(arm.model.network, q), after=_correction_mm(network, q))
-    found = discovery.result.model_copy(update={"network_mm": corrections})
-    discovery = replace(discovery, result=found)
-    if not discovery.terms or found.verdict != "unknown effect" or network is None:
+    readings = learnt.readings
+    if len(readings) < _READINGS_A_FOLD * arm.profile.network.folds:
+        return discovery
+    residual_M = readings.p_M - learnt.model.predict(readings.q, conditions=learnt.conditions)
+    network = network_of_residuals(arm.profile, learnt.model, readings, residual_M, steps)
+    if network is None:
         return discovery
     network = replace(network, rotation=rotation_network(arm.profile, discovery.model, learnt.quantities(), steps))
-    model = replace(discovery.model, network=network)
+    model, held_out = replace(discovery.model, network=network), HeldOut.of(arm.readings, arm.conditions)
     step = GapStep(what="a network for the rest", effect="", heldout_mm=held_out.position_mm(model).rms)
-    return discovery.with_model(model, held_out, steps=(*found.steps, step))
-
-
-def _train(arm: ArmReadings, steps: JobSteps) -> ResidualNetwork | None:
-    """Train a network on the residuals of an arm; None if it does not predict left-out readings better than none."""
-    readings = arm.readings
-    if len(readings) < _READINGS_A_FOLD * arm.profile.network.folds:
-        return None
-    residual_M = readings.p_M - arm.model.predict(readings.q, conditions=arm.conditions)
-    return network_of_residuals(arm.profile, arm.model, readings, residual_M, steps)
-
-
-def _correction_mm(network: ResidualNetwork | None, q: Array) -> float:
-    """Return the rms length of a network's corrections [mm]."""
-    if network is None:
-        return 0.0
-    return float(np.sqrt(np.mean(np.sum(network.correct(q) ** 2, axis=1)))) * 1e3
+    return discovery.with_model(model, held_out, steps=(*discovery.result.steps, step))

@@ -40,6 +40,7 @@ from cellapp.estimation.discovery.process import (
 )
 from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.verdict import CHANCE, has_structure, pearson3_tail, residual_structure
+from cellapp.ground.profile.schema import DiscoverySettings
 from cellapp.robot.effects import ActsOn, EffectColumn, LawForm
 from cellapp.robot.effects.context import Wave
 from cellapp.robot.kinematics.chain import smr_positions
@@ -262,46 +263,40 @@ def judged(discovery, verdict):
     return replace(discovery, result=discovery.result.model_copy(update={"verdict": verdict}))
 
 
-def trained(searched, readings, verdict="explained", **changes):
+def trained(searched, readings):
+    """The outcome with a network, as if compliance had no name: the geometry alone stands for the accepted terms."""
     profile, _, model, discovery = searched
-    discovery = replace(judged(discovery, verdict), **changes)
+    discovery = replace(judged(discovery, "unknown effect"), model=model)
     return with_network(ArmReadings.alone(profile, "left", model, readings), discovery)
 
 
 @pytest.mark.parametrize(
-    ("network", "kind", "explained", "unknown"),
-    [
-        ("unknown", "mlp", False, True),
-        ("always", "mlp", True, True),
-        ("never", "mlp", False, False),
-        ("always", "none", False, False),
-    ],
+    ("network", "kind", "unknown"), [("unknown", "mlp", True), ("never", "mlp", False), ("unknown", "none", False)]
 )
-def test_a_network_is_trained_where_the_profile_asks(searched, network, kind, explained, unknown):
+def test_a_network_is_trained_where_an_effect_stays_unknown_and_the_profile_asks(searched, network, kind, unknown):
     discovery, profile = searched[3], asking(network, kind)
-    assert needs_network(profile, judged(discovery, "explained")) == explained
+    assert not needs_network(profile, judged(discovery, "explained"))
     assert needs_network(profile, judged(discovery, "unknown effect")) == unknown
 
 
+def test_a_stored_profile_that_asks_for_a_network_always_still_opens():
+    assert DiscoverySettings.model_validate({"network": "always"}).network == "unknown"
+
+
 def test_a_network_models_what_has_no_name(searched):
-    _, readings, model, discovery = searched
-    # as if compliance had no name: the geometry alone stands for the accepted terms
-    found = trained(searched, readings, verdict="unknown effect", model=model)
+    _, readings, _, discovery = searched
+    found = trained(searched, readings)
     assert found.model.network is not None
     assert found.result.heldout_mm.after < 0.8 * discovery.result.heldout_mm.before
     assert found.result.steps[-1].heldout_mm == found.result.heldout_mm.after
-    assert trained(searched, readings, model=model).model.network is None  # explained: the effects are the model
 
 
 def test_held_out_readings_do_not_choose_the_network(searched):
-    _, readings, model, _ = searched
+    readings = searched[1]
     p_M = readings.p_M.copy()
     rows = readings.in_split("validate")
     p_M[rows] += np.random.default_rng(1).normal(0.0, 5e-3, (len(rows), 3))
-    found = [
-        trained(searched, data, verdict="unknown effect", model=model)
-        for data in (readings, replace(readings, p_M=p_M))
-    ]
+    found = [trained(searched, data) for data in (readings, replace(readings, p_M=p_M))]
     texts = [json.dumps(network_to_json(one.model.network)) for one in found]
     assert texts[0] == texts[1]
 
