@@ -32,11 +32,9 @@ from cellapp.estimation.discovery.plan_forecast import ForecastDesign, PlannedRe
 from cellapp.estimation.discovery.process import (
     CURVE_LENGTHS,
     Component,
-    Hyperparameters,
     ProcessEvidence,
-    first_guess,
+    StructuredProcess,
     fit_process,
-    most_evident,
 )
 from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.verdict import CHANCE, has_structure, pearson3_tail, residual_structure
@@ -328,6 +326,8 @@ def curve(rng):
         amplitude_keys=("amplitude",),
         start=1.0,
         weights=np.ones(2 * CYCLES),
+        amplitudes=np.array([0.8]),
+        length=0.4,
         lengths=CURVE_LENGTHS,
         length_keys=("length",),
     )
@@ -345,6 +345,7 @@ def plain(rng):
         amplitude_keys=("amplitude1", "amplitude2"),
         start=1.0,
         weights=np.array([1.0, 0.5, 1.0, 2.0]),
+        amplitudes=np.array([0.5, 0.3]),
     )
 
 
@@ -353,26 +354,26 @@ def gathered(components, y):
     return replace(NormalMatrix.of(rows, y), coordinates=float(N))
 
 
-def simulated(rng, components, values):
+NOISE = 0.1
+
+
+def simulated(rng, components):
     """Readings (N,) of the components' prior."""
     rows = np.concatenate([one.rows for one in components])
-    weights = rng.normal(size=len(rows)) * np.sqrt(values.variances(components))
-    return weights @ rows + rng.normal(0.0, math.sqrt(values.noise), N)
-
-
-TRUE = Hyperparameters((np.array([0.8]), np.array([0.5, 0.3])), (0.4, 1.0), 0.1)
+    weights = rng.normal(size=len(rows)) * np.sqrt(np.concatenate([one.variances for one in components]))
+    return weights @ rows + rng.normal(0.0, math.sqrt(NOISE), N)
 
 
 def test_it_is_the_marginal_likelihood_of_the_readings():
     rng = np.random.default_rng(1)
     parts = (curve(rng), plain(rng))
-    y = simulated(rng, parts, TRUE)
+    y = simulated(rng, parts)
     X = np.concatenate([one.rows for one in parts]).T
-    variance = TRUE.variances(parts)
-    dense = multivariate_normal(np.zeros(N), (X * variance) @ X.T + TRUE.noise * np.eye(N))
+    variance = np.concatenate([one.variances for one in parts])
+    dense = multivariate_normal(np.zeros(N), (X * variance) @ X.T + NOISE * np.eye(N))
     wanted = dense.logpdf(y) + 0.5 * N * math.log(2.0 * math.pi)
     # columns whose prior is below a thousandth of the noise are left out
-    found = ProcessEvidence.of(gathered(parts, y), variance, TRUE.noise)
+    found = ProcessEvidence.of(gathered(parts, y), variance, NOISE)
     assert found is not None
     assert found.value == pytest.approx(wanted, abs=0.02)
 
@@ -382,10 +383,11 @@ def test_hyperparameters_of_a_simulated_curve_are_recovered():
     errors = []
     for _ in range(12):
         one = curve(rng)
-        data = gathered([one], simulated(rng, [one], Hyperparameters((np.array([0.8]),), (0.4,), 0.1)))
-        values = most_evident([one], data, first_guess([one], data))
-        found = np.array([values.amplitudes[0][0] / 0.8, values.lengths[0] / 0.4, values.noise / 0.1])
-        errors.append(np.log(found))
+        data = gathered([one], simulated(rng, [one]))
+        begun = replace(one, amplitudes=np.array([one.start]), length=CURVE_LENGTHS.start)
+        found = StructuredProcess((begun,), data.square / data.coordinates, data).most_evident()
+        (curve_found,) = found.components
+        errors.append(np.log([curve_found.amplitudes[0] / 0.8, curve_found.length / 0.4, found.noise / NOISE]))
     # a turn holds some 2 pi / 0.8 independent values of the curve: 25 % for its amplitude, 8 % for the noise
     np.testing.assert_allclose(np.mean(errors, axis=0), 0.0, atol=0.2)
     assert (np.std(errors, axis=0) < (0.4, 0.4, 0.16)).all()
