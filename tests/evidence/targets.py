@@ -249,7 +249,7 @@ def _measured_sd(model: ArmModel, q: Array, approach: Array, ranges: ConditionRa
     conditions = MeasurementConditions(approach=approach)
     covariance = spread_of(model, q, conditions, ranges).of_model
     if model.posterior is not None and ranges.noise is not None:
-        covariance = covariance + ranges.noise.covariance(model.predict(q, approach), model.noise(q))
+        covariance = covariance + ranges.noise.covariance(model.predict(q, conditions), model.noise(q))
     return np.asarray(np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)))
 
 

@@ -28,7 +28,7 @@ from cellapp.estimation.discovery.joint_fit import (
     cross_validated_gain,
     fit_terms,
 )
-from cellapp.estimation.discovery.plan_forecast import ForecastDesign, PlannedReadings, arm_designs, planned_effects
+from cellapp.estimation.discovery.plan_forecast import PlannedReadings, planned_data, planned_effects
 from cellapp.estimation.discovery.process import (
     CURVE_LENGTHS,
     Component,
@@ -180,18 +180,18 @@ STOPS = 60
 
 
 @pytest.fixture(scope="module")
-def design() -> ForecastDesign:
+def planned() -> ArmData:
     profile = small_twin(STOPS)
     expected = PlannedReadings(np.linspace(0.0, 8.0 * STOPS, STOPS), np.full(STOPS, 0.2))
-    return arm_designs(profile, plan_stops(profile), expected)["left"]
+    return planned_data(profile, plan_stops(profile), expected)["left"]
 
 
 @pytest.mark.parametrize("slug", ["backlash", "encoder_eccentricity", "joint_compliance"])
-def test_an_effect_of_twice_the_promised_size_scores_and_of_a_fifth_does_not(slug: str, design: ForecastDesign) -> None:
-    promised = next(one for one in planned_effects(design) if one.effect == slug)
+def test_an_effect_of_twice_the_promised_size_scores_and_of_a_fifth_does_not(slug: str, planned: ArmData) -> None:
+    promised = next(one for one in planned_effects(planned) if one.effect == slug)
     name, size = next(iter(promised.smallest_seen.items()))
-    fit = fit_terms(design.data, ())
-    scan = LawScan.of(fit.candidates(design.data, [slug]), fit.projector)
+    fit = fit_terms(planned, ())
+    scan = LawScan.of(fit.candidates(planned, [slug]), fit.projector)
     one = scan.candidates[0]
     row = one.rows[[column.name for column in one.columns].index(name)]
     scores = []

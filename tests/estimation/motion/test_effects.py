@@ -256,7 +256,7 @@ def test_dense_lines_and_play_enter_the_model_and_a_lag_does_not():
     assert model_arm.covariance.shape == (len(model_arm.identified),) * 2
     q, side = motion.at(np.linspace(0.0, 50.0, 200)), np.sign(motion.speed(np.linspace(0.0, 50.0, 200)))
     true = arm.points(q - arm.half_play * side + arm.amplitude[:6] * np.sin(40.0 * q + arm.phase[:6]))
-    with_effects = np.linalg.norm(model_arm.predict(q, side) - true, axis=1)
+    with_effects = np.linalg.norm(model_arm.predict(q, MeasurementConditions(approach=side)) - true, axis=1)
     without = np.linalg.norm(smr_positions(model.arms["left"].geometry, q) - true, axis=1)
     assert np.sqrt(np.mean(with_effects**2)) < 0.5 * np.sqrt(np.mean(without**2))
     assert ArmDiscoveryResult.model_validate_json(discovery.result.model_dump_json(by_alias=True)) is not None
