@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from cellapp.commands.calibrate.view import MM, batches_words
+from cellapp.commands.calibrate.view import batches_words
 from cellapp.commands.view.table import Cell, Number, Table, columns_of
 from cellapp.commands.view.words import METHOD_WORDS, geometry_unit
-from cellapp.estimation.calibration.records import ArmCalibrationResult, CalibrateResult, NetworkResult, NetworkTrial
+from cellapp.estimation.calibration.records import ArmCalibrationResult, CalibrateResult, NetworkResult
 from cellapp.ground.results import METHODS
 
 
@@ -41,8 +41,8 @@ def calibration_facts(calibrate: CalibrateResult) -> Table:
 
 
 def _arm_facts(arm: ArmCalibrationResult) -> Mapping[str, Cell]:
-    repeats = arm.repeatability_mm
-    return {
+    repeats, network = arm.repeatability_mm, arm.network
+    facts: dict[str, Cell] = {
         "parameters identified": arm.rank,
         "iterations": arm.iterations,
         "condition number of the scaled Jacobian": None if arm.condition is None else Number(arm.condition, 1),
@@ -54,44 +54,18 @@ def _arm_facts(arm: ArmCalibrationResult) -> Mapping[str, Cell]:
         "position repeatability, mean and RP [mm]": (
             "no stop was repeated" if repeats is None else f"{repeats.mean:.4f}, {repeats.rp:.4f}"
         ),
-        "network": _network_words(arm.network),
-        "network, rms on left-out folds [mm]": (
-            "none trained"
-            if arm.network is None
-            else f"{arm.network.left_out_rms_mm:.4f}, without a network {arm.network.without_rms_mm:.4f}"
-        ),
-        "network from all readings": _of_all_words(arm.network),
+        "network": "none trained" if network is None else _network_words(network),
     }
+    if network is not None:
+        left_out = f"{network.left_out_rms_mm:.4f}, without a network {network.without_rms_mm:.4f}"
+        facts["network, rms on left-out folds [mm]"] = left_out
+        if network.batches is not None:
+            facts["network from all readings"] = batches_words(network.batches)
+    return facts
 
 
-def _of_all_words(network: NetworkResult | None) -> str:
-    return "not asked for" if network is None or network.batches is None else batches_words(network.batches)
-
-
-def _network_words(network: NetworkResult | None) -> str:
-    if network is None:
-        return "none trained"
+def _network_words(network: NetworkResult) -> str:
+    inputs = {"sincos": "sines and cosines", "angles": "scaled angles", "both": "angles, sines and cosines"}
+    layers, turning = " + ".join(map(str, network.hidden)), ", rotating with joint 1" if network.turning else ""
     used = "used" if network.used else "not used: it did not reduce the error on left-out folds"
-    return f"{_network_shape(network)}; {used}"
-
-
-def network_tables(calibrate: CalibrateResult) -> list[Table]:
-    """Show the network shapes that were compared within the training split."""
-    columns = columns_of("number", "inputs, hidden layers", ("left-out rms", MM, "mm"))
-    tables = []
-    for name, arm in calibrate.arms.items():
-        if arm.network is not None and arm.network.tried:
-            rows = [
-                (str(number), _network_shape(trial), trial.left_out_rms_mm)
-                for number, trial in enumerate(arm.network.tried, start=1)
-            ]
-            tables.append(Table(f"Arm {name}: networks compared inside the training split", columns, tuple(rows)))
-    return tables
-
-
-def _network_shape(network: NetworkResult | NetworkTrial) -> str:
-    inputs = {"sincos": "sines and cosines", "angles": "scaled angles", "both": "angles, sines and cosines"}[
-        network.inputs
-    ]
-    turning = ", rotating with joint 1" if network.turning else ""
-    return f"{inputs}, {' + '.join(str(width) for width in network.hidden)}{turning}"
+    return f"{inputs[network.inputs]}, {layers}{turning}; {used}"

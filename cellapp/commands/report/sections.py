@@ -23,7 +23,7 @@ from cellapp.commands.calibrate.charts import (
     stop_error_chart,
     vector_charts,
 )
-from cellapp.commands.calibrate.detail_tables import calibration_facts, network_tables, pair_tables
+from cellapp.commands.calibrate.detail_tables import calibration_facts, pair_tables
 from cellapp.commands.calibrate.view import (
     cooperative_noise_mm,
     cooperative_noise_mrad,
@@ -359,7 +359,7 @@ def _residuals(data: ReportData) -> Section:
         for chart in vector_charts(name, held_out)
     )
     return Section(
-        [*runs, *vectors, calibration_facts(data.calibrate), *network_tables(data.calibrate)],
+        [*runs, *vectors, calibration_facts(data.calibrate)],
         message=message if residual else "How the identification went, in numbers.",
         about="Residuals of the held-out configurations as arrows, enlarged; the black arrow gives the scale. Residuals"
         " in the tracker frame are specific to one tracker station; residuals in the base frame move with the arm.",

@@ -31,15 +31,6 @@ class Scatter(Record):
     meaning: str
 
 
-class NetworkTrial(Record):
-    """A network shape that was compared on left-out folds of the training split."""
-
-    inputs: Inputs
-    hidden: tuple[int, ...]
-    turning: bool = False
-    left_out_rms_mm: float
-
-
 class BatchesResult(Record):
     """A network from all readings in batches against the committee, on the same left-out blocks of time.
 
@@ -69,7 +60,6 @@ class NetworkResult(Record):
     turning: bool = False
     left_out_rms_mm: float
     without_rms_mm: float
-    tried: tuple[NetworkTrial, ...] = ()
     batches: BatchesResult | None = None
     omitted_when_none = frozenset({"batches"})
 
