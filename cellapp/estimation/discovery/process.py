@@ -133,7 +133,7 @@ class Component:
     @property
     def by_hyperparameters(self) -> Array:
         """Derivatives (m, h) of the logarithms of ``variances``."""
-        by_amplitudes = 2.0 * (self.groups[:, None] == np.arange(len(self.amplitude_keys)))
+        by_amplitudes: Array = 2.0 * (self.groups[:, None] == np.arange(len(self.amplitude_keys)))
         if self.lengths is None:
             return by_amplitudes
         longer = self.relative_variances(self.length * math.exp(_LENGTH_STEP))
