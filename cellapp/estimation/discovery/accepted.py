@@ -124,7 +124,6 @@ def accepted_effect(
     ``posterior`` is NaN if it was not computed.
     """
     effect, shared = EFFECTS[term.slug], term_to_json(term)
-    indistinguishable = (alternative.effect for alternative in runners_up if not alternative.distinguishable)
     meaning = effect.meaning_of(term.law).at(place_in_words(where.acts_on))
     return AcceptedEffect(
         effect=term.slug,
@@ -133,7 +132,6 @@ def accepted_effect(
         where=where,
         parameters={name: Estimate.model_validate(shared["parameters"][name]) for name in term.law_names},
         evidence=evidence,
-        answer_set=(term.slug, *indistinguishable),
         runners_up=runners_up,
         posterior=posterior if math.isfinite(posterior) else None,
         law_misfit=term.law_misfit if term.modulations else None,

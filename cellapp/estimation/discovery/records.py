@@ -125,7 +125,6 @@ class AcceptedEffect(Record):
     where: Place
     parameters: Mapping[str, Estimate]
     evidence: Evidence
-    answer_set: tuple[str, ...]
     runners_up: tuple[RunnerUp, ...]
     posterior: float | None = None
     law_misfit: float | None = None
@@ -138,7 +137,12 @@ class AcceptedEffect(Record):
     @property
     def indistinguishable(self) -> tuple[str, ...]:
         """Effects that would explain these data as well."""
-        return tuple(slug for slug in self.answer_set if slug != self.effect)
+        return tuple(alternative.effect for alternative in self.runners_up if not alternative.distinguishable)
+
+    @property
+    def answer_set(self) -> tuple[str, ...]:
+        """The effect and those that would explain these data as well: one of them is there."""
+        return (self.effect, *self.indistinguishable)
 
     @property
     def ruled_out(self) -> tuple[str, ...]:

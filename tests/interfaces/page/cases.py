@@ -71,7 +71,6 @@ def free_curve() -> AcceptedEffect:
         where=_joints(1, 2),
         parameters={f"cos{k}q1": Estimate(value=1e-5, standard_error=1e-6, unit="rad") for k in range(2, 60)},
         evidence=EVIDENCE,
-        answer_set=("transmission_error",),
         runners_up=(),
         cycles={
             "1": CycleBand(first=9, last=37, peak=11, rms_urad=212.4),
@@ -89,7 +88,6 @@ def ambiguous_compliance() -> AcceptedEffect:
         where=_joints(2, 3, 4, 6),
         parameters={"compliance2": Estimate(value=1.6668e-5, standard_error=1.8e-8, unit="rad/Nm")},
         evidence=EVIDENCE,
-        answer_set=("joint_compliance", "pedestal_compliance", "link_bending"),
         runners_up=(
             RunnerUp(effect="pedestal_compliance", statistic=249.0, distinguishable=False),
             RunnerUp(effect="link_bending", statistic=248.0, distinguishable=False),
@@ -116,7 +114,6 @@ def data_driven_term(formula: str = "c |sin(q2)|") -> AcceptedEffect:
         where=Place(joints=(5,), acts_on=("joint 5",), channel="joint 5", variables=("q2",)),
         parameters={"joint_5.cos1_q2": Estimate(value=1e-4, standard_error=1e-6, unit="rad")},
         evidence=EVIDENCE,
-        answer_set=("unknown",),
         runners_up=(),
         description=TermDescription(
             channel="joint 5",
@@ -211,8 +208,6 @@ def calibration(*arms: str) -> CalibrateResult:
         parameter_set="auto",
         merged={},
         iterations=4,
-        converged=True,
-        message="",
         condition=None,
         scatter=Scatter(value=1.0, meaning=""),
         degrees_of_freedom=100,
