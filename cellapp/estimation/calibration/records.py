@@ -252,7 +252,7 @@ class ArmCalibrationResult(Record):
     ``tracker_mm`` and ``probe_mrad`` the rms length of the stated noise of positions and of orientations. A fit that
     has not ``converged`` is no result. Where an earlier calibration was taken as ``prior``, the stage ``effects`` is
     the model with it, and the others are those without. ``left_out_configurations`` are those of readings with gross
-    errors, on which nothing here rests, ``left_out_splits`` their number in each split; ``splits`` counts the others.
+    errors, on which nothing here rests; ``splits`` counts the others.
     An arm that was recorded in ``motion`` has the ``clocks`` of its recordings; where it has no held-out readings at
     rest, ``validate_`` and ``splits`` are those of the points in motion.
     """
@@ -276,7 +276,6 @@ class ArmCalibrationResult(Record):
     network: NetworkResult | None = None
     prior: ArmPriorResult | None = None
     left_out_configurations: tuple[int, ...] = ()
-    left_out_splits: Mapping[str, int] = {}
     validate_: Mapping[Stage, StageErrors]
     clocks: Mapping[str, ClockResult] | None = None
     motion: MotionResult | None = None

@@ -396,16 +396,6 @@ class ArmModel:
             posterior=None if self.posterior is None else self.posterior.of_columns(len(self.geometry.vector()) - 3),
         )
 
-    def in_base(self) -> ArmModel:
-        """Return the arm with its base at the origin, so that it predicts positions in the base frame B."""
-        rotation = self.geometry.T_M_B()[:3, :3]
-        return replace(
-            self,
-            geometry=self.geometry.with_T_M_B(np.eye(4)),
-            nominal=self.nominal.with_T_M_B(np.eye(4)),
-            up_M=rotation.T @ self.up_M,
-        )
-
 
 @dataclass(frozen=True, repr=False)
 class CellModel:
