@@ -39,7 +39,7 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Pose, Profile
 from cellapp.ground.results import CALIBRATE
 from cellapp.robot.effects import MeasurementConditions
-from cellapp.robot.kinematics.transforms import Array, rotation_z, transform, zyx_angles
+from cellapp.robot.kinematics.transforms import Array, apply, invert, rotation_z, transform, zyx_angles
 from cellapp.robot.model import ArmModel, CellModel
 from cellapp.robot.model.nominal import pose_matrix
 from drivers.plant import Plant
@@ -216,7 +216,8 @@ def _paper_pair_mm(bench: _Bench, q: Mapping[str, Array], apart: Array) -> float
     paper = bench.paper
     if paper.pair is None or paper.T_R_L is None:
         return None
-    p_B = [paper.arms[name].in_base().predict(q[name]) for name in paper.pair]
+    arms = [(paper.arms[name], q[name]) for name in paper.pair]
+    p_B = [apply(invert(arm.geometry.T_M_B()), arm.predict(here)) for arm, here in arms]
     return 1e3 * float(np.abs(apart - distances(paper.T_R_L, p_B[0], p_B[1])).mean())
 
 
@@ -249,7 +250,7 @@ def _measured_sd(model: ArmModel, q: Array, approach: Array, ranges: ConditionRa
     conditions = MeasurementConditions(approach=approach)
     covariance = spread_of(model, q, conditions, ranges).of_model
     if model.posterior is not None and ranges.noise is not None:
-        covariance = covariance + ranges.noise.covariance(model.predict(q, approach), model.noise(q))
+        covariance = covariance + ranges.noise.covariance(model.predict(q, conditions), model.noise(q))
     return np.asarray(np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)))
 
 

@@ -260,7 +260,7 @@ def open_hypotheses(data: ArmData, fit: JointFit, discovery: ArmFound, joined: E
     named = [number for number, term in enumerate(fit.terms) if not is_unnamed(term.law)]
     fit = replace(fit, terms=tuple(_as_its_cause(term) for term in fit.terms))
     for number, effect in zip(named, discovery.result.accepted, strict=False):
-        for slug in effect.answer_set[1:]:
+        for slug in effect.indistinguishable:
             found += _hypotheses_against(data, fit, number, slug, least, joined)
             found += _swapped_hypotheses(data, fit, number, slug, least, joined)
     if not found:

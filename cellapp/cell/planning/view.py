@@ -40,7 +40,7 @@ from cellapp.cell.safety.gate import BEAM_RADIUS, CellBodies, refuse_motion, ref
 from cellapp.cell.safety.shapes import beam_gaps
 from cellapp.estimation.calibration.calibrate import rms_length_mm
 from cellapp.estimation.calibration.parameters import EXPECTED_SCATTER_M
-from cellapp.estimation.discovery.plan_forecast import PlannedReadings, arm_designs, planned_accuracy, planned_effects
+from cellapp.estimation.discovery.plan_forecast import PlannedReadings, planned_accuracy, planned_data, planned_effects
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import UNATTENDED, JobToken
@@ -190,29 +190,29 @@ def forecast_run(run: RunFile, job: JobToken = UNATTENDED) -> PlanForecastResult
     first = visited.q
     times = stop_times_of(profile, visited)
     step = last_motions(visited, home_positions(profile))
-    designs = arm_designs(profile, first, PlannedReadings(times.measured_s, times.resting_s, step, visited.load))
+    expected = planned_data(profile, first, PlannedReadings(times.measured_s, times.resting_s, step, visited.load))
     cell = cell_bodies(profile)
     arms: dict[str, ArmForecast] = {}
     notes: list[str] = []
-    for number, (name, design) in enumerate(designs.items()):
+    for number, (name, data) in enumerate(expected.items()):
         job.check()
-        job.tell("forecast", number, len(designs), f"arm {name}")
+        job.tell("forecast", number, len(expected), f"arm {name}")
         try:
             with one_blas_thread():  # the matrices are small
-                effects = planned_effects(design)
+                effects = planned_effects(data)
         except InputError as error:
             effects = ()
-            notes.append(str(error))
-        assert design.data.stated is not None
+            notes.append(f"arm '{name}': {error}")
+        assert data.stated is not None
         arms[name] = ArmForecast(
             stops=len(visited),
             reserves=len(reserves),
-            noise_rms_mm=rms_length_mm(design.data.stated),
+            noise_rms_mm=rms_length_mm(data.stated),
             coverage=joint_coverage(joint_ranges(cell, profile, name), first[name]),
-            accuracy=tuple(planned_accuracy(design, scatter) for scatter in (0.0, EXPECTED_SCATTER_M)),
+            accuracy=tuple(planned_accuracy(data, scatter) for scatter in (0.0, EXPECTED_SCATTER_M)),
             effects=effects,
         )
-    job.tell("forecast", len(designs), len(designs), "done")
+    job.tell("forecast", len(expected), len(expected), "done")
     return PlanForecastResult(
         run=str(run.folder), time=planned_time(profile, visited), arms=arms, notes=(*notes, *_notes(profile, first))
     )

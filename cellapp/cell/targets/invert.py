@@ -120,17 +120,15 @@ def invert_model(arm: ArmModel, position_M: Array, rotation_M: Array, start: Arr
     return found.q, found.reached
 
 
-def without_effects(
-    arm: ArmModel, true: Array, approach: Array | None = None, conditions: MeasurementConditions | None = None
-) -> Array:
-    """Return controller readings (n, N) [rad] that put the real joints at ``true`` (n, N), arriving as ``approach``.
+def without_effects(arm: ArmModel, true: Array, conditions: MeasurementConditions) -> Array:
+    """Return controller readings (n, N) [rad] that put the real joints at ``true`` (n, N) under ``conditions``.
 
-    ``conditions`` replaces ``approach``. Fixed-point iteration, as the effects' offsets depend on the configuration.
-    Raise ``NotConverged`` if it does not settle.
+    Fixed-point iteration, as the effects' offsets depend on the configuration. Raise ``NotConverged`` if it does not
+    settle.
     """
     q = true
     for _ in range(_EFFECT_ROUNDS):
-        before, q = q, true - (arm.true_joints(q, approach, conditions=conditions) - q)
+        before, q = q, true - (arm.true_joints(q, conditions) - q)
         changed = np.max(np.abs(q - before), initial=0.0)
         if changed < _SAME_RAD:
             break
@@ -148,7 +146,7 @@ def with_approach(arm: ArmModel, command: Array, here: Array, conditions: Measur
     step = (command - here)[None]
     driven = replace(made, approach=np.sign(step), step=step)
     true = arm.true_joints(command[None], conditions=made)
-    q = without_effects(arm, true, conditions=driven)
+    q = without_effects(arm, true, driven)
     wanted = arm.predict(command[None], conditions=made)
     if np.linalg.norm(arm.predict(q, conditions=driven) - wanted) > _SHIFTED_M:
         found = invert(arm, wanted, arm.flange(command[None], made)[0], q, driven)

@@ -41,8 +41,8 @@ def calibration_facts(calibrate: CalibrateResult) -> Table:
 
 
 def _arm_facts(arm: ArmCalibrationResult) -> Mapping[str, Cell]:
-    repeats = arm.repeatability_mm
-    return {
+    repeats, network = arm.repeatability_mm, arm.network
+    facts: dict[str, Cell] = {
         "parameters identified": arm.rank,
         "iterations": arm.iterations,
         "condition number of the scaled Jacobian": None if arm.condition is None else Number(arm.condition, 1),
@@ -54,26 +54,18 @@ def _arm_facts(arm: ArmCalibrationResult) -> Mapping[str, Cell]:
         "position repeatability, mean and RP [mm]": (
             "no stop was repeated" if repeats is None else f"{repeats.mean:.4f}, {repeats.rp:.4f}"
         ),
-        "network": _network_words(arm.network),
-        "network, rms on left-out folds [mm]": (
-            "none trained"
-            if arm.network is None
-            else f"{arm.network.left_out_rms_mm:.4f}, without a network {arm.network.without_rms_mm:.4f}"
-        ),
-        "network from all readings": _of_all_words(arm.network),
+        "network": "none trained" if network is None else _network_words(network),
     }
+    if network is not None:
+        left_out = f"{network.left_out_rms_mm:.4f}, without a network {network.without_rms_mm:.4f}"
+        facts["network, rms on left-out folds [mm]"] = left_out
+        if network.batches is not None:
+            facts["network from all readings"] = batches_words(network.batches)
+    return facts
 
 
-def _of_all_words(network: NetworkResult | None) -> str:
-    return "not asked for" if network is None or network.batches is None else batches_words(network.batches)
-
-
-_INPUTS = {"sincos": "sines and cosines", "angles": "scaled angles", "both": "angles, sines and cosines"}
-
-
-def _network_words(network: NetworkResult | None) -> str:
-    if network is None:
-        return "none trained"
-    turning = ", rotating with joint 1" if network.turning else ""
+def _network_words(network: NetworkResult) -> str:
+    inputs = {"sincos": "sines and cosines", "angles": "scaled angles", "both": "angles, sines and cosines"}
+    layers, turning = " + ".join(map(str, network.hidden)), ", rotating with joint 1" if network.turning else ""
     used = "used" if network.used else "not used: it did not reduce the error on left-out folds"
-    return f"{_INPUTS[network.inputs]}, {' + '.join(map(str, network.hidden))}{turning}; {used}"
+    return f"{inputs[network.inputs]}, {layers}{turning}; {used}"

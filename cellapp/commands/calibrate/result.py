@@ -75,7 +75,6 @@ def arm_result(arm: ArmCalibration) -> ArmCalibrationResult:
         network=None if arm.training is None else arm.training.result,
         prior=arm.prior,
         left_out_configurations=arm.left_out,
-        left_out_splits=arm.left_out_counts,
         validate_=arm.validate,
         clocks=arm.clocks,
         motion=arm.motion,

@@ -98,13 +98,7 @@ def evidence_table(name: str, arm: ArmDiscoveryResult) -> Table:
         ("score", "evidence.statistic", ".1f"),
         ("beside its law", "law_misfit", ".0f", "%"),
         ("alternatives", lambda found: " or ".join(found.answer_set)),
-        ("most correlated with", lambda found: _correlated_words(found)),
     )
-
-
-def _correlated_words(found: AcceptedEffect) -> str | None:
-    most = found.correlated_with
-    return None if most is None else f"{most.parameter} ({most.correlation:+.2f})"
 
 
 def size_tables(name: str, arm: ArmDiscoveryResult) -> list[Table]:

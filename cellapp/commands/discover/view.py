@@ -28,7 +28,6 @@ from cellapp.commands.discover.words import (
     ahead_sentences,
     also_possible,
     alternative_sentences,
-    contradiction_sentences,
     description_sentences,
     gap_sentences,
     misfit_sentences,
@@ -111,12 +110,11 @@ def _motion_sentences(arm: ArmDiscoveryResult) -> list[str]:
 
 
 def _remarks(arm: ArmDiscoveryResult) -> list[str]:
-    """Say what contradicts, could replace or is possible beside an effect, fits its law badly, or cannot be shown."""
+    """Say what could replace or is possible beside an effect, fits its law badly, or cannot be shown."""
     possible = also_possible(arm)
     hidden = [f"{one.effect} ({short_reason(one.reason)})" for one in arm.invisible]
     return [
         *orientation_sentences(arm),
-        *contradiction_sentences(arm),
         *_motion_sentences(arm),
         *alternative_sentences(arm),
         *([f"Not accepted, but possible: {possible}."] if possible else []),

@@ -83,11 +83,6 @@ def alternative_sentences(arm: ArmDiscoveryResult) -> list[str]:
     return sentences
 
 
-def contradiction_sentences(arm: ArmDiscoveryResult) -> list[str]:
-    """State what behaves like an effect with an impossible sign or size."""
-    return [f"Something {found.sentence}." for found in arm.contradictions]
-
-
 def misfit_sentences(arm: ArmDiscoveryResult) -> list[str]:
     """State the accepted effects whose law is not quite as expected."""
     words = [misfit_words(found) for found in arm.accepted]
@@ -116,14 +111,8 @@ def structure_sentences(arm: ArmDiscoveryResult) -> list[str]:
 
 
 def remainder_sentences(arm: ArmDiscoveryResult) -> list[str]:
-    """State what remains unexplained, what a residual network finds in it, and the predicted uncertainty."""
-    return [
-        *_unnamed_sentences(arm),
-        *structure_sentences(arm),
-        *_scatter_sentences(arm),
-        *_network_sentences(arm),
-        *_uncertainty_sentences(arm),
-    ]
+    """State what remains unexplained, and the predicted uncertainty."""
+    return [*_unnamed_sentences(arm), *structure_sentences(arm), *_scatter_sentences(arm), *_uncertainty_sentences(arm)]
 
 
 def _unnamed_sentences(arm: ArmDiscoveryResult) -> list[str]:
@@ -150,21 +139,6 @@ def _scatter_sentences(arm: ArmDiscoveryResult) -> list[str]:
     ]
 
 
-def _network_sentences(arm: ArmDiscoveryResult) -> list[str]:
-    if arm.network_mm is None:
-        return []
-    before, after = arm.network_mm.before, arm.network_mm.after
-    if before == after == 0.0:
-        return ["A residual network finds nothing to correct, neither before the effects nor after them."]
-    if not arm.accepted:
-        return [f"A residual network corrects {before:.4f} mm rms of what the geometry leaves."]
-    remainder = "finds nothing" if after == 0.0 else f"corrects {after:.4f} mm rms"
-    return [
-        f"A residual network trained on what the geometry leaves corrects {before:.4f} mm rms; trained on what the"
-        f" effects leave, it {remainder}."
-    ]
-
-
 def _uncertainty_sentences(arm: ArmDiscoveryResult) -> list[str]:
     predicted = arm.uncertainty_mm
     if predicted is None:
@@ -176,12 +150,11 @@ def _uncertainty_sentences(arm: ArmDiscoveryResult) -> list[str]:
 
 
 def description_sentences(arm: ArmDiscoveryResult) -> list[tuple[str, str]]:
-    """Return a heading and a description of each data-driven term."""
-    impossible = {contradiction.sentence for contradiction in arm.contradictions}
+    """Return a heading and a description of each data-driven term; of impossible values the verdict says enough."""
     descriptions = [
         found.description
         for found in arm.accepted
-        if found.description is not None and found.description.sentence not in impossible
+        if found.description is not None and not found.law.name.startswith("contradiction|")
     ]
     sentences = []
     for term in descriptions:
@@ -191,9 +164,7 @@ def description_sentences(arm: ArmDiscoveryResult) -> list[tuple[str, str]]:
             f" {term.size_um:.0f} µm rms beyond what the geometry can absorb."
         )
         if term.formula:
-            gain = term.gain_over_curve
-            words += f" A short formula fits as well as the curve: {term.formula}"
-            words += "." if gain is None else f" (score {gain:+.1f} against the curve's)."
+            words += f" A short formula fits as well as the curve: {term.formula}."
         else:
             words += " No short formula fits as well as the curve."
         sentences.append((f"Effect without a name: {term.channel}, {variables}", words))

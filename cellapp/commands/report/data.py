@@ -123,15 +123,6 @@ def read_report_data(run: RunFile) -> ReportData:
     )
 
 
-def unusable_arms(data: ReportData) -> list[tuple[str, str]]:
-    """Return the arms whose calibration must not be used, with the reason."""
-    return [
-        (f"Arm {name}", f"the calibration did not converge ({arm.message}): do not use it")
-        for name, arm in data.calibrate.arms.items()
-        if not arm.converged
-    ]
-
-
 def warnings(data: ReportData) -> list[str]:
     """Return the calibration's notes, and why targets were not measured."""
     targets = data.results.verified.targets

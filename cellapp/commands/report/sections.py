@@ -262,9 +262,6 @@ def _accuracy_message(data: ReportData) -> str:
     """State the mean held-out errors of each arm and of the pair, with the nominal and the best model."""
     parts = []
     for name, arm in data.calibrate.arms.items():
-        if not arm.converged:
-            parts.append(f"arm {name} did not converge")
-            continue
         best = arm.validate_[arm.best_stage].position_mm.mean
         nominal = f" (nominal {mm(arm.validate_['nominal'].position_mm.mean)})" if "nominal" in arm.validate_ else ""
         parts.append(f"arm {name} {mm(best)}{nominal}")
@@ -336,7 +333,7 @@ def _residuals(data: ReportData) -> Section:
     residual = {
         name: arm.validate_["geometry"].position_mm.rms
         for name, arm in data.calibrate.arms.items()
-        if "geometry" in arm.validate_ and arm.converged
+        if "geometry" in arm.validate_
     }
     words = enumerated(f"{mm(rms)} rms on arm {name}" for name, rms in residual.items())
     message = f"The identified lengths and angles alone leave {words}; a pattern in the arrows is an effect."

@@ -295,7 +295,7 @@ def _arm_row(data: ReportData, name: str) -> ComparedErrors | None:
         return _verified_row(f"Arm {name}", verified, tolerance)
     arm = data.calibrate.arms[name]
     errors = arm.validate_
-    if "nominal" not in errors or not arm.converged:
+    if "nominal" not in errors:
         return None
     best = errors[arm.best_stage].position_mm
     return _row(

@@ -327,11 +327,6 @@ class _Problem:
     """Least and largest values (2, k)."""
 
     @property
-    def effect_count(self) -> int:
-        effects = self.observations.effects
-        return 0 if effects is None else len(effects.names)
-
-    @property
     def sigma_is_exact(self) -> bool:
         """Whether the stated uncertainty is taken as exact: priors of effects are given with that noise level."""
         effects = self.observations.effects
@@ -340,7 +335,7 @@ class _Problem:
     def at_start(self) -> FitPoint:
         values = self.start.vector()[list(self.parameters.columns)]
         effects = self.observations.effects
-        of_effects = np.zeros(self.effect_count) if effects is None or effects.start is None else effects.start
+        of_effects = np.zeros(0) if effects is None else effects.start
         return self._estimate(np.concatenate([values, of_effects]), None, self.precision)
 
     def _estimate(self, values: Array, weights: Array | None, precision: Array) -> FitPoint:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.least_squares import inverse_diagonal, solve_psd
-from cellapp.estimation.calibration.records import BatchesResult, NetworkResult, NetworkTrial
+from cellapp.estimation.calibration.records import BatchesResult, NetworkResult
 from cellapp.estimation.readings.readings import Groups, folds_of, repeats, undivided
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Network
@@ -148,10 +148,16 @@ class NetForm:
     hidden: int
     rotates_with_joint_1: bool = False
 
-    def trial(self, left_out_rms_m: float) -> NetworkTrial:
-        """State the network and its error on left-out folds."""
-        turning, error_mm = self.rotates_with_joint_1, left_out_rms_m * 1e3
-        return NetworkTrial(inputs=self.inputs, hidden=(self.hidden,), turning=turning, left_out_rms_mm=error_mm)
+    def result(self, *, used: bool, left_out_rms_m: float, without_rms_m: float) -> NetworkResult:
+        """State the network, whether it is used, and the errors on left-out folds with and without it."""
+        return NetworkResult(
+            used=used,
+            inputs=self.inputs,
+            hidden=(self.hidden,),
+            turning=self.rotates_with_joint_1,
+            left_out_rms_mm=left_out_rms_m * 1e3,
+            without_rms_mm=without_rms_m * 1e3,
+        )
 
 
 _READINGS_A_UNIT = 16
@@ -190,7 +196,7 @@ class Training:
         The best candidate.
     result : NetworkResult
         With the rms lengths of the residual on left-out folds: the readings of one half of a fold are predicted by the
-        member that predicted the other half best. ``tried`` are those of every candidate when they were compared.
+        member that predicted the other half best.
     """
 
     network: ResidualNetwork | None
@@ -234,8 +240,8 @@ def train_network(
     scale = max(float(np.sqrt(np.mean(residual**2))), 1e-12)
     group = undivided(q)
     if group.max() + 1 < 2 * network.folds:
-        none = shapes[0].trial(_rms_length(residual))
-        return Training(None, shapes[0], NetworkResult.like(none, used=False, without_rms_mm=none.left_out_rms_mm))
+        none = _rms_length(residual)
+        return Training(None, shapes[0], shapes[0].result(used=False, left_out_rms_m=none, without_rms_m=none))
     fold = folds_of(group, network.folds, np.random.default_rng([seed, 0xF01D])) if fold is None else fold
     outputs = {False: residual / scale, True: rotate_about_z(residual / scale, -q[:, 0])}
     inputs = {kind: network_inputs(kind, low, high, q) for kind in {shape.inputs for shape in shapes}}
@@ -246,7 +252,6 @@ def train_network(
     for number, candidate in enumerate(candidates if len(shapes) > 1 else ()):
         steps(number, f"network {number + 1} of {len(shapes)}")
         candidate.train(_SCREENED, min(_SCREENING, network.iterations), steps)
-    tried = tuple(candidate.shape.trial(candidate.left_out() * scale) for candidate in candidates if candidate.members)
     committee = min(candidates, key=_Committee.left_out) if len(shapes) > 1 else candidates[0]
     steps(len(shapes), "best network")
     committee.train(int(fold.max()) + 1, network.iterations, steps)
@@ -257,8 +262,8 @@ def train_network(
     margin = MARGIN * np.maximum(high - low, 1e-3)
     members = tuple(committee.net.layers(member.best) for member in committee.members)
     found = ResidualNetwork(shape.inputs, low, high, margin, shape.rotates_with_joint_1, scale, members)
-    used, own = left_out < WORTH * without and standard_errors(of_none - squares, group) > 1.0, left_out * scale
-    result = NetworkResult.like(shape.trial(own), used=used, without_rms_mm=without * scale * 1e3, tried=tried)
+    used = left_out < WORTH * without and standard_errors(of_none - squares, group) > 1.0
+    result = shape.result(used=used, left_out_rms_m=left_out * scale, without_rms_m=without * scale)
     return Training(found if used else None, shape, result)
 
 

@@ -9,7 +9,7 @@ Readings are processed in chunks, so that memory does not grow with their number
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.parameters import ParameterSet, gram_matrix
+from cellapp.robot.effects.context import EffectColumn
 from cellapp.robot.kinematics.chain import Geometry, JointAngles, ScratchSpace, joint_jacobian
 from cellapp.robot.kinematics.transforms import Array
 
@@ -24,33 +25,60 @@ _CHUNK = 2048
 """Configurations per chunk: the Jacobian of one chunk (3 x 40 x 2048 floats, 2 MB) fits into the CPU cache."""
 
 
+_LEAST_PRIOR = 1e-9
+"""Least standard deviation of a prior, which keeps its precision finite."""
+
+
 @dataclass(frozen=True)
 class EffectColumns:
-    """Effects that are linear in their parameters: columns that offset a joint first, then those that shift the SMR.
+    """Effects that are linear in their m parameters, each of which offsets a joint or shifts the SMR.
 
     Attributes
     ----------
     names, units : tuple of str, length m
-    joints : array, shape (k,), k <= m
-        Index of the joint that each of the first k columns offsets, from 0.
+    of_joints, of_smr : arrays of int, shapes (k,), (m - k,)
+        Places of the parameters that offset a joint, and of those that shift the SMR.
+    joints : array, shape (k,)
+        Index of the joint that each of the former offsets, from 0.
     offsets : array, shape (k, n)
         Joint offset per unit of the parameter [rad].
     shifts_M : array, shape (m - k, 3, n)
         Shift of the SMR per unit of the other parameters, in the tracker frame [m].
-    prior_sd : array, shape (m,), optional
+    prior_sd : array, shape (m,), or None
         Standard deviation of a zero-mean prior in each parameter's unit, infinite without a prior. If it is given,
         the stated uncertainty of the readings is taken as exact and is not rescaled by their scatter.
-    start : array, shape (m,), optional
-        Initial values of the iteration; zero if not given.
+    start : array, shape (m,)
+        Initial values of the iteration.
     """
 
     names: tuple[str, ...]
     units: tuple[str, ...]
+    of_joints: NDArray[np.intp]
+    of_smr: NDArray[np.intp]
     joints: NDArray[np.intp]
     offsets: Array
     shifts_M: Array
-    prior_sd: Array | None = None
-    start: Array | None = None
+    prior_sd: Array | None
+    start: Array
+
+    @classmethod
+    def of(cls, columns: Sequence[EffectColumn], n: int, start: Array) -> EffectColumns:
+        """Arrange the columns of effects at n readings; the iteration begins at ``start`` (m,)."""
+        offset = np.array([column.joint is not None for column in columns], dtype=np.bool_)
+        sd = np.array([column.prior_sd for column in columns])
+        return cls(
+            names=tuple(column.name for column in columns),
+            units=tuple(column.unit for column in columns),
+            of_joints=np.flatnonzero(offset),
+            of_smr=np.flatnonzero(~offset),
+            joints=np.array([column.joint for column in columns if column.joint is not None], dtype=np.intp),
+            offsets=np.array([column.offset for column in columns if column.joint is not None]).reshape(-1, n),
+            shifts_M=np.array([column.shift_M for column in columns if column.joint is None])
+            .reshape(-1, n, 3)
+            .swapaxes(1, 2),
+            prior_sd=np.maximum(sd, _LEAST_PRIOR) if np.isfinite(sd).any() else None,
+            start=start,
+        )
 
     def take(self, rows: NDArray[np.intp]) -> EffectColumns:
         """Return the columns at the configurations ``rows``."""
@@ -109,7 +137,7 @@ class Observations:
         joints, offsets = self.effects.joints, self.effects.offsets[:, first:last]
         for joint in np.unique(joints):
             columns = np.flatnonzero(joints == joint)
-            q[:, joint] += beta[columns] @ offsets[columns]
+            q[:, joint] += beta[self.effects.of_joints[columns]] @ offsets[columns]
         R_M_S = self.angles.R_M_S
         return JointAngles.of(q, None if R_M_S is None else R_M_S[first:last])
 
@@ -118,7 +146,7 @@ class Observations:
         if self.effects is None or not len(self.effects.shifts_M):
             return None
         shifts = self.effects.shifts_M[:, :, first:last]
-        return np.asarray(np.tensordot(beta[len(self.effects.joints) :], shifts, axes=1))
+        return np.asarray(np.tensordot(beta[self.effects.of_smr], shifts, axes=1))
 
     def residuals(self, P: Array, beta: Array, first: int, last: int) -> Array:
         """Compute a chunk's residuals (3, last - first) [m], measured less computed; ``P`` [m] is without shifts."""
@@ -234,8 +262,12 @@ def linearise(
     P, J = parameters.jacobian(geometry, angles, observations.workspace)
     if effects is not None:
         _, by_joint = joint_jacobian(geometry, angles)
-        by_offset = effects.offsets[:, None, first:last] * by_joint.swapaxes(0, 1)[effects.joints]
-        J = np.concatenate([J.swapaxes(0, 1), by_offset, effects.shifts_M[:, :, first:last]]).swapaxes(0, 1)
+        size = J.shape[1]
+        whole: Array = np.empty((size + len(effects.names), 3, last - first))
+        whole[:size] = J.swapaxes(0, 1)
+        whole[size + effects.of_joints] = effects.offsets[:, None, first:last] * by_joint.swapaxes(0, 1)[effects.joints]
+        whole[size + effects.of_smr] = effects.shifts_M[:, :, first:last]
+        J = whole.swapaxes(0, 1)
     return P, J
 
 

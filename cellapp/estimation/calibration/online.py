@@ -26,6 +26,7 @@ from cellapp.estimation.calibration.parameters import estimated_parameters, gram
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import StopReport
+from cellapp.robot.effects.context import joint_column
 from cellapp.robot.kinematics.chain import TOOL_NAMES, Geometry, JointAngles, flange_poses, frame_poses
 from cellapp.robot.kinematics.statics import gravity_loads
 from cellapp.robot.kinematics.transforms import Array
@@ -307,12 +308,13 @@ class OnlineFit:
         """Return the joint errors at ``q`` (n, N) [rad]: a cosine and a sine of the joint angle, and the compliance
         under gravity. What they leave in the geometry is alike at neighbouring stops, and would look like a fault."""
         loads = gravity_loads(frame_poses(self._nominal, q), self._bodies, self._up_M)
-        offsets, sds = [np.cos(q).T, np.sin(q).T, loads.joint_torques().T], [_WAVE_SD, _WAVE_SD, _COMPLIANCE_SD]
-        joints, kinds = q.shape[1], len(sds)
-        names = tuple(f"error {k + 1}" for k in range(joints * kinds))
-        of_joints = np.tile(np.arange(joints), kinds)
-        nothing = np.empty((0, 3, len(q)))
-        return EffectColumns(names, names, of_joints, np.concatenate(offsets), nothing, np.repeat(sds, joints))
+        kinds = (np.cos(q), _WAVE_SD), (np.sin(q), _WAVE_SD), (loads.joint_torques(), _COMPLIANCE_SD)
+        columns = [
+            joint_column(f"error {joint + 1}", "", joint, offsets[:, joint], -math.inf, math.inf, prior_sd=sd)
+            for offsets, sd in kinds
+            for joint in range(q.shape[1])
+        ]
+        return EffectColumns.of(columns, len(q), np.zeros(len(columns)))
 
     def _registered(self) -> Geometry | None:
         """Register the nominal arm to the points; None if they are too few or nearly on one line."""

@@ -316,7 +316,6 @@ def _result(
             for name, value, error, other in estimates
         },
         iterations=found.iterations,
-        converged=True,  # else it was refused; earlier versions stored such a pair
         splits=counts,
         held_out=held_out,
     )

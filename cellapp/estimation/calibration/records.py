@@ -31,15 +31,6 @@ class Scatter(Record):
     meaning: str
 
 
-class NetworkTrial(Record):
-    """A network shape that was compared on left-out folds of the training split."""
-
-    inputs: Inputs
-    hidden: tuple[int, ...]
-    turning: bool = False
-    left_out_rms_mm: float
-
-
 class BatchesResult(Record):
     """A network from all readings in batches against the committee, on the same left-out blocks of time.
 
@@ -69,7 +60,6 @@ class NetworkResult(Record):
     turning: bool = False
     left_out_rms_mm: float
     without_rms_mm: float
-    tried: tuple[NetworkTrial, ...] = ()
     batches: BatchesResult | None = None
     omitted_when_none = frozenset({"batches"})
 
@@ -257,12 +247,12 @@ class ArmCalibrationResult(Record):
     ``identified`` are the parameters of the geometry, ``rank`` the number of independent ones, ``merged`` maps each
     dropped parameter to those that take its place and their shares, ``fixed`` each held parameter to its value.
     ``excess_mm`` is the scatter of a coordinate beyond the stated uncertainty, ``excess_mrad`` that of an orientation,
-    ``tracker_mm`` and ``probe_mrad`` the rms length of the stated noise of positions and of orientations. Where an
-    earlier calibration was taken as ``prior``,
-    the stage ``effects`` is the model with it, and the others are those without. ``left_out_configurations`` are those
-    of readings with gross errors, on which nothing here rests, ``left_out_splits`` their number in each split;
-    ``splits`` counts the others. An arm that was recorded in ``motion`` has the ``clocks`` of its recordings; where it
-    has no held-out readings at rest, ``validate_`` and ``splits`` are those of the points in motion.
+    ``tracker_mm`` and ``probe_mrad`` the rms length of the stated noise of positions and of orientations. A fit that
+    has not ``converged`` is no result. Where an earlier calibration was taken as ``prior``, the stage ``effects`` is
+    the model with it, and the others are those without. ``left_out_configurations`` are those of readings with gross
+    errors, on which nothing here rests; ``splits`` counts the others.
+    An arm that was recorded in ``motion`` has the ``clocks`` of its recordings; where it has no held-out readings at
+    rest, ``validate_`` and ``splits`` are those of the points in motion.
     """
 
     identified: Mapping[str, ParameterEstimate]
@@ -271,8 +261,7 @@ class ArmCalibrationResult(Record):
     merged: Mapping[str, Mapping[str, float]]
     fixed: Mapping[str, float] | None = None
     iterations: int
-    converged: bool
-    message: str
+    converged: Literal[True] = True
     condition: float | None
     scatter: Scatter
     excess_mm: float | None = None
@@ -285,7 +274,6 @@ class ArmCalibrationResult(Record):
     network: NetworkResult | None = None
     prior: ArmPriorResult | None = None
     left_out_configurations: tuple[int, ...] = ()
-    left_out_splits: Mapping[str, int] = {}
     validate_: Mapping[Stage, StageErrors]
     clocks: Mapping[str, ClockResult] | None = None
     motion: MotionResult | None = None
@@ -325,7 +313,7 @@ class PairMethodResult(Record):
     by_transform_mrad: Mapping[str, ErrorSummary] | None = None
     identified: Mapping[str, PairEstimate] = {}
     iterations: int | None = None
-    converged: bool | None = None
+    converged: Literal[True] = True
     splits: Mapping[str, int] = {}
     held_out: PairHeldOut | None = None
     omitted_when_none = frozenset({"cooperative_mrad", "by_transform_mrad"})

@@ -16,8 +16,6 @@ from cellapp.estimation.discovery.outcome import HeldOut
 from cellapp.estimation.discovery.records import (
     AcceptedEffect,
     BeforeAfter,
-    Contradiction,
-    Correlation,
     CurveRecord,
     CycleBand,
     EffectMeaning,
@@ -43,7 +41,7 @@ from cellapp.robot.effects import (
     term_to_json,
 )
 from cellapp.robot.effects.data_driven import FIELD_LENGTH, ActedOn, Quantity, Variable, data_driven_form
-from cellapp.robot.effects.effect import is_borrowed, is_contradiction, is_unnamed, lent_effect
+from cellapp.robot.effects.effect import is_borrowed, is_contradiction, is_unnamed
 from cellapp.robot.effects.unknown import acted_directions
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
@@ -85,7 +83,6 @@ def accepted_effects(
                 evidence,
                 probable.terms[number],
                 runners_up=review.alternatives,
-                correlated_with=_most_correlated(fit, number),
                 cycles=_cycles(fit, number, term) if term.slug == TRANSMISSION_ERROR else None,
                 movements=term_movements(fit, number) or None,
                 description=described,
@@ -120,7 +117,6 @@ def accepted_effect(
     posterior: float,
     *,
     runners_up: tuple[RunnerUp, ...] = (),
-    correlated_with: Correlation | None = None,
     **details: Any,
 ) -> AcceptedEffect:
     """Build an accepted effect from a term and its evidence; ``details`` are further fields of ``AcceptedEffect``.
@@ -128,7 +124,6 @@ def accepted_effect(
     ``posterior`` is NaN if it was not computed.
     """
     effect, shared = EFFECTS[term.slug], term_to_json(term)
-    indistinguishable = (alternative.effect for alternative in runners_up if not alternative.distinguishable)
     meaning = effect.meaning_of(term.law).at(place_in_words(where.acts_on))
     return AcceptedEffect(
         effect=term.slug,
@@ -137,9 +132,7 @@ def accepted_effect(
         where=where,
         parameters={name: Estimate.model_validate(shared["parameters"][name]) for name in term.law_names},
         evidence=evidence,
-        answer_set=(term.slug, *indistinguishable),
         runners_up=runners_up,
-        correlated_with=correlated_with,
         posterior=posterior if math.isfinite(posterior) else None,
         law_misfit=term.law_misfit if term.modulations else None,
         meaning=EffectMeaning.model_validate(meaning, from_attributes=True),
@@ -147,36 +140,10 @@ def accepted_effect(
     )
 
 
-def contradictions(terms: Sequence[EffectTerm], accepted: Sequence[AcceptedEffect]) -> tuple[Contradiction, ...]:
-    """Return the accepted effects that look like an effect of the library with impossible values."""
-    return tuple(
-        Contradiction(
-            effect=lent_effect(term.law).slug,
-            joints=effect.where.joints,
-            size_um=math.nan if effect.description is None else effect.description.size_um,
-            sentence=term.note,
-        )
-        for term, effect in zip((one for one in terms if not is_unnamed(one.law)), accepted, strict=True)
-        if is_contradiction(term.law)
-    )
-
-
 def _cycles(fit: JointFit, number: int, term: EffectTerm) -> dict[str, CycleBand]:
     """Return the dominant cycles per revolution of a periodic term, by the values of the final model."""
     here = fit.layout.parameters(number)
     return dominant_cycles(fit.term_columns(number), term.values, fit.identification.covariance[here, here])
-
-
-def _most_correlated(fit: JointFit, number: int) -> Correlation | None:
-    """Find the geometric parameter most correlated with a term's values, and the correlation; None for smooth terms."""
-    if fit.terms[number].smooth is not None:
-        return None
-    covariance, size = fit.identification.covariance, len(fit.identification.parameter_set.columns)
-    here = fit.layout.parameters(number)
-    sd = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    correlation = covariance[:size, here] / sd[:size, None] / sd[here]
-    row, column = np.unravel_index(int(np.argmax(np.abs(correlation))), correlation.shape)
-    return Correlation(parameter=fit.identification.names[int(row)], correlation=float(correlation[row, column]))
 
 
 # ---------------------------------------------------------------------------------------------------------------------
@@ -207,11 +174,9 @@ def rms_length(fit: JointFit, whitened: Array) -> float:
     return float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))
 
 
-# -- Description of a data-driven term: place, variables, curve, and a short formula if one fits as well ------------
+# -- Description of a data-driven term: place, variables, and a short formula if one fits as well -------------------
 
 
-_POINTS = 60
-"""Number of points of a curve in the description."""
 _AS_GOOD = 0.95
 """Share of what the curve explains at which a formula with fewer parameters describes it."""
 
@@ -222,8 +187,7 @@ def describe(data: ArmData, fit: JointFit, number: int) -> TermDescription:
     ``size_um`` excludes the part that the other parameters can explain.
     """
     term, size_um = fit.terms[number], _visible_rms(fit, number) * 1e6
-    formula, gain = "", None
-    curve: tuple[tuple[float, float], ...] = ()
+    formula = ""
     if is_borrowed(term.law):
         columns = fit.term_columns(number)
         acts_on = ", ".join(dict.fromkeys(column.where for column in columns))
@@ -241,17 +205,13 @@ def describe(data: ArmData, fit: JointFit, number: int) -> TermDescription:
             )
         else:
             values = [variable.values(data.context) for variable in form.inputs]
-            formula, gain = _formula(data, fit, number, form.acts_on, form.inputs, values)
-            if len(names) == 1 and fit.term_columns(number)[0].joint is not None:
-                curve = _curve(fit, number, values[0])
+            formula = _formula(data, fit, number, form.acts_on, form.inputs, values)
             said = f"{acts_on} depends on {' and '.join(names)}{f', about {formula}' if formula else ''}"
     return TermDescription(
         channel=acts_on,
         variables=names,
         size_um=size_um,
         formula=formula,
-        gain_over_curve=gain,
-        curve=curve,
         sentence=f"{said}; {size_um:.0f} µm rms at the SMR",
     )
 
@@ -265,26 +225,15 @@ def _visible_rms(fit: JointFit, number: int) -> float:
     return rms_length(fit, visible)
 
 
-def _curve(fit: JointFit, number: int, x: Array) -> tuple[tuple[float, float], ...]:
-    """Return points of a joint offset [rad] over its variable."""
-    offset = np.zeros(len(x))
-    for column, value in zip(fit.term_columns(number), fit.term_values(number).tolist(), strict=True):
-        if column.offset is not None:
-            offset += value * column.offset
-    order = np.argsort(x, kind="stable")
-    chosen = order[np.linspace(0, len(order) - 1, min(_POINTS, len(order))).astype(np.intp)]
-    return tuple((float(x[i]), float(offset[i])) for i in chosen)
-
-
 def _formula(
     data: ArmData, fit: JointFit, number: int, acts_on: ActedOn, variables: Sequence[Variable], values: Sequence[Array]
-) -> tuple[str, float | None]:
-    """Return the best short formula and its gain over the curve; no text if it describes the term less well.
+) -> str:
+    """Return the best short formula; empty if it describes the term less well than the curve does.
 
     It is good enough if its score is higher, having fewer parameters, or if it explains nearly as much.
     """
     if any(not np.isfinite(one).all() for one in values):
-        return "", None
+        return ""
     basis = fit.term_columns(number)[0]
     directions = [] if basis.joint is not None else acted_directions(data.context, acts_on)
     found = formulas(variables, values)
@@ -294,14 +243,13 @@ def _formula(
         law = LawForm(formula.text, formula.text).law(tried=len(found))
         candidates.append(CandidateLaw(UNKNOWN, law, columns, fit.displacements(columns)))
     if not candidates:
-        return "", None
+        return ""
     residual = fit.residual_without(number)
     best = LawScan.of(candidates, residual.projector).ranked(residual)[0]
     rows = fit.term_rows(number)
-    gain = best.value - residual.bic_gain(rows)
-    if gain < 0.0 and best.explained_share < _AS_GOOD * residual.explained_share(rows):
-        return "", gain
-    return best.candidate.law.name, gain
+    better = best.value >= residual.bic_gain(rows)
+    as_good = best.explained_share >= _AS_GOOD * residual.explained_share(rows)
+    return best.candidate.law.name if better or as_good else ""
 
 
 def _columns(text: str, values: Array, basis: EffectColumn, directions: Sequence[Array]) -> tuple[EffectColumn, ...]:

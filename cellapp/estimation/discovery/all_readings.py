@@ -25,22 +25,13 @@ from cellapp.estimation.discovery.joint_fit import (
     with_posterior,
 )
 from cellapp.estimation.discovery.prior_fit import Prior, normal_matrix, posterior
-from cellapp.estimation.discovery.process import (
-    Component,
-    Hyperparameters,
-    StructuredProcess,
-    components,
-    most_evident,
-    needed_components,
-    process_terms,
-)
+from cellapp.estimation.discovery.process import Component, StructuredProcess, components, process_terms
 from cellapp.estimation.discovery.search.state import Review, SearchResult
 from cellapp.estimation.discovery.search.unnamed_term import without_name
 from cellapp.ground.errors import NotConverged
 from cellapp.robot.effects import EffectColumn
 from cellapp.robot.effects.effect import is_unnamed, lent_effect
 from cellapp.robot.kinematics.chain import AT_BOUND
-from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
 
 _SAMPLE_SEED = 0xA117
@@ -63,7 +54,7 @@ def fit_to_all(found: SearchResult, data: ArmData, needed: float) -> tuple[Searc
     named = tuple(term for term in found.fit.terms if term.smooth is None)
     weighed = replace(data, sigma=uncertainty_with_scatter(data, smooth.scatter)).at(found.fit.model)
     process = _process(found, weighed, named, needed)
-    more, was = math.sqrt(process.values.noise), smooth.scatter
+    more, was = math.sqrt(process.noise), smooth.scatter
     joints = tuple(more * one for one in was.joints)
     scatter = Excess(was.m * more, was.rad * more, joints, min(was.claim * more, 1.0))
     names = {term.slug for term in found.fit.terms if term.smooth is not None and not is_unnamed(term.law)}
@@ -98,37 +89,26 @@ def _process(found: SearchResult, data: ArmData, named: ModelTerms, needed: floa
     base = fit_terms(found.data.at(found.fit.model), named)
     smooth = [term for term in found.fit.terms if term.smooth is not None]
     had = {lent_effect(term.law).slug if is_unnamed(term.law) else term.slug: term for term in smooth}
-    chosen = [one if one.slug in had else one.coarse() for one in components(found.data, base)]
+    possible = (one if one.slug in had else one.coarse() for one in components(found.data, base))
+    chosen = [_begun(one, had.get(one.slug)) for one in possible]
     normal = normal_matrix(base.model, data, _prior(base), partial(_columns, chosen))
     gram = normal.behind(base.layout.total, base.precision)
-    start = Hyperparameters(
-        tuple(_amplitudes(one, had.get(one.slug)) for one in chosen),
-        tuple(_length(one, had.get(one.slug)) for one in chosen),
-        1.0,
-    )
-    process = StructuredProcess(tuple(chosen), most_evident(chosen, gram, start), gram)
-    return needed_components(process.without_idle(), needed)
+    return StructuredProcess(tuple(chosen), 1.0, gram).most_evident().without_idle().without_weak(needed)
 
 
-def _amplitudes(component: Component, term: ModelTerm | None) -> Array:
-    """Return start values of the amplitudes: those from the searched readings, else small ones."""
+def _begun(component: Component, term: ModelTerm | None) -> Component:
+    """Return a component at the hyperparameters from the searched readings, else at small amplitudes."""
     known = {} if term is None else term.law.constants
-    return np.array([known.get(key, 0.1 * component.start) for key in component.amplitude_keys])
-
-
-def _length(component: Component, term: ModelTerm | None) -> float:
-    if component.lengths is None:
-        return 1.0
-    known = {} if term is None else term.law.constants
-    return next((known[key] for key in component.length_keys if key in known), component.lengths.start)
+    amplitudes = np.array([known.get(key, 0.1 * component.start) for key in component.amplitude_keys])
+    length = next((known[key] for key in component.length_keys if key in known), component.length)
+    return replace(component, amplitudes=amplitudes, length=length)
 
 
 def _columns(chosen: Sequence[Component], data: ArmData) -> list[EffectColumn]:
     """Return the columns of components at some readings."""
     found: list[EffectColumn] = []
     for one in chosen:
-        law = one.law(np.ones(len(one.amplitude_keys)), 1.0 if one.lengths is None else one.lengths.start)
-        found += data.columns(one.slug, law, [column.name for column in one.columns])
+        found += data.columns(one.slug, one.law, [column.name for column in one.columns])
     return found
 
 

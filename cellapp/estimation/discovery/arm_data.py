@@ -34,8 +34,6 @@ UNKNOWN = "unknown"
 """Slug of data-driven terms."""
 TRANSMISSION_ERROR = TransmissionError.slug
 """Slug of the effect whose lines a free curve of the joint angle may replace."""
-_LEAST_PRIOR = 1e-9
-"""Least prior standard deviation of a coefficient [rad, m]: 1 nm at a metre; keeps the normal matrix invertible."""
 
 
 @dataclass(frozen=True)
@@ -145,12 +143,6 @@ def smoothness_of(terms: ModelTerms) -> Smoothness | None:
 def has_smooth_terms(terms: ModelTerms) -> bool:
     """Return whether any term is a smooth free function."""
     return smoothness_of(terms) is not None
-
-
-def prior_sd(columns: Sequence[EffectColumn]) -> Array | None:
-    """Return the prior standard deviation of each column, infinite without a prior; None if no column has a prior."""
-    sd = np.array([column.prior_sd for column in columns])
-    return np.maximum(sd, _LEAST_PRIOR) if np.isfinite(sd).any() else None
 
 
 @dataclass(frozen=True)

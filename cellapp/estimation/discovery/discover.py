@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,16 +14,13 @@ from cellapp.estimation.calibration.calibrate import (
     gross_errors_of_geometry,
     gross_errors_of_model,
     left_out_words,
-    network_of_residuals,
     rms_length_mm,
-    rotation_network,
     without,
 )
 from cellapp.estimation.calibration.least_squares import mean_variance
-from cellapp.estimation.calibration.network_training import learning_steps
 from cellapp.estimation.calibration.pair_calibration import calibrate_pair
 from cellapp.estimation.calibration.quantities import ArmReadings, states_nothing
-from cellapp.estimation.discovery.accepted import accepted_effects, contradictions, pictures
+from cellapp.estimation.discovery.accepted import accepted_effects, pictures
 from cellapp.estimation.discovery.all_readings import fit_terms_to_all, fit_to_all
 from cellapp.estimation.discovery.arm_data import UNKNOWN, ArmData, smoothness_of
 from cellapp.estimation.discovery.joint_fit import noise_of, with_posterior
@@ -44,8 +40,7 @@ from cellapp.ground.profile import Profile
 from cellapp.ground.progress import UNATTENDED, UNTOLD, JobSteps, JobToken, SharedProgress
 from cellapp.ground.threads import give_back
 from cellapp.robot.effects import EFFECTS
-from cellapp.robot.kinematics.transforms import Array
-from cellapp.robot.model import ArmModel, CellModel, ResidualNetwork
+from cellapp.robot.model import ArmModel, CellModel
 from cellapp.robot.model.nominal import prior_sigmas
 
 _MOST_SEARCHED = 400
@@ -77,54 +72,22 @@ def discover_cell(
     """
     readings = {name: one_a_stop(its) for name, its in readings.items()}
     searched = ArmReadings.of_cell(profile, model.arms, readings)
-    arms = _discover_arms(profile, searched, job, search_arm or discover_arm)
+    total = SEARCH_STEPS * len(searched) + 1
+    progress, arms = SharedProgress(job, "discover", 0, total), dict[str, ArmFound]()
+    for name, arm in searched.items():
+        steps = progress.part(f"arm {name}")
+        steps(0, "search")
+        steps.check()
+        arms[name] = (search_arm or discover_arm)(arm, steps)
+        steps(SEARCH_STEPS, arms[name].result.verdict)
     pair = None
     if any(discovery.terms for discovery in arms.values()):
         good = {name: without(readings[name], found.result.left_out_configurations) for name, found in arms.items()}
         pair, _ = calibrate_pair(profile, good, {name: found.model for name, found in arms.items()})
     T_R_L = model.T_R_L if pair is None else pair.T_R_L
     model = replace(model, arms={name: found.model for name, found in arms.items()}, T_R_L=T_R_L)
-    total = _total_steps(profile, len(arms))
     job.tell("discover", total, total, "done")
     return CellDiscovery(arms, model, pair)
-
-
-def _total_steps(profile: Profile, arms: int) -> int:
-    """Count the steps that discovery reports: search of every arm, training where it may be needed, and the pair."""
-    training = learning_steps(profile.network) if _may_train(profile) else 0
-    return (SEARCH_STEPS + training) * arms + 1
-
-
-def _may_train(profile: Profile) -> bool:
-    return profile.network.kind != "none" and profile.discovery.network != "never"
-
-
-def _discover_arms(
-    profile: Profile, arms: Mapping[str, ArmReadings], job: JobToken, search_arm: ArmSearch
-) -> dict[str, ArmFound]:
-    found: dict[str, ArmFound] = {}
-    total = _total_steps(profile, len(arms))
-    searched = SharedProgress(job, "discover", 0, total)
-    for name, arm in arms.items():
-        steps = searched.part(f"arm {name}")
-        steps(0, "search")
-        steps.check()
-        found[name] = search_arm(arm, steps)
-        steps(SEARCH_STEPS, found[name].result.verdict)
-    if not _may_train(profile):
-        return found
-    trained = SharedProgress(job, "discover", SEARCH_STEPS * len(arms), total)
-    with ThreadPoolExecutor(max_workers=2) as pool:  # the matrix products work outside the interpreter lock
-        tasks = {}
-        for name, discovery in found.items():
-            steps = trained.part(f"arm {name}")
-            if not needs_network(profile, discovery):
-                steps(learning_steps(profile.network), "no network is needed")
-                continue
-            steps(0, "residual network beside the effects")
-            good = ~np.isin(arms[name].readings.configuration, discovery.result.left_out_configurations)
-            tasks[name] = pool.submit(with_network, arms[name].take(good), discovery, steps)
-        return {**found, **{name: task.result() for name, task in tasks.items()}}
 
 
 def discover_arm(
@@ -186,7 +149,6 @@ def _evaluated(arm: ArmReadings, result: Searched, held_out: HeldOut, started: f
         scatter=None if spread is None else spread.ratio,
         accepted=accepted,
         candidates=probable.effects,
-        contradictions=contradictions(terms, accepted),
         structure=structure,
         invisible=invisible,
         not_found=not_found,
@@ -366,63 +328,3 @@ def _gap_steps(
     if fitted is not None:
         errors.append((f"fitted to all {counted(fitted, 'reading')}", "", after_mm))
     return tuple(GapStep(what=what, effect=effect, heldout_mm=error_mm) for what, effect, error_mm in errors)
-
-
-# -- Residual network after discovery: size of its remaining correction, and a model of unnamed effects ---------------
-
-
-_READINGS_A_FOLD = 2
-"""Least number of readings for each fold of a network's training: one reading has no scatter."""
-
-
-def needs_network(profile: Profile, discovery: ArmFound) -> bool:
-    """Return whether the profile asks for a network beside the effects of this outcome.
-
-    There is none beside effects from recordings: samples of motion contain what no pose at rest has.
-    """
-    motion = discovery.result.motion
-    if profile.network.kind == "none" or (motion is not None and motion.used):
-        return False
-    if discovery.result.unnamed is not None and discovery.result.unnamed.in_force:
-        return False
-    asked = profile.discovery.network
-    return asked == "always" or (asked == "unknown" and discovery.result.verdict == "unknown effect")
-
-
-def with_network(arm: ArmReadings, discovery: ArmFound, steps: JobSteps = UNTOLD) -> ArmFound:
-    """Add to the outcome the corrections of a network before and after the accepted effects.
-
-    The network joins the model only if an effect stays unknown and the network predicts the left-out folds of its
-    training readings better than none. Held-out readings judge the result; they do not select it.
-    """
-    held_out = HeldOut.of(arm.readings, arm.conditions)
-    network = discovery.model.network
-    learnt = replace(arm, model=discovery.model).take(arm.readings.in_split("identify", "train"))
-    if discovery.terms:
-        network = _train(learnt, steps)
-    q = held_out.readings.q
-    corrections = BeforeAfter(before=_correction_mm(arm.model.network, q), after=_correction_mm(network, q))
-    found = discovery.result.model_copy(update={"network_mm": corrections})
-    discovery = replace(discovery, result=found)
-    if not discovery.terms or found.verdict != "unknown effect" or network is None:
-        return discovery
-    network = replace(network, rotation=rotation_network(arm.profile, discovery.model, learnt.quantities(), steps))
-    model = replace(discovery.model, network=network)
-    step = GapStep(what="a network for the rest", effect="", heldout_mm=held_out.position_mm(model).rms)
-    return discovery.with_model(model, held_out, steps=(*found.steps, step))
-
-
-def _train(arm: ArmReadings, steps: JobSteps) -> ResidualNetwork | None:
-    """Train a network on the residuals of an arm; None if it does not predict left-out readings better than none."""
-    readings = arm.readings
-    if len(readings) < _READINGS_A_FOLD * arm.profile.network.folds:
-        return None
-    residual_M = readings.p_M - arm.model.predict(readings.q, conditions=arm.conditions)
-    return network_of_residuals(arm.profile, arm.model, readings, residual_M, steps)
-
-
-def _correction_mm(network: ResidualNetwork | None, q: Array) -> float:
-    """Return the rms length of a network's corrections [mm]."""
-    if network is None:
-        return 0.0
-    return float(np.sqrt(np.mean(np.sum(network.correct(q) ** 2, axis=1)))) * 1e3

@@ -39,7 +39,6 @@ from cellapp.estimation.discovery.arm_data import (
     Smoothness,
     TermLayout,
     blocks_beyond_bounds,
-    prior_sd,
     smoothness_of,
     whitened_displacements,
     whitening,
@@ -111,24 +110,37 @@ class NormalMatrix:
         """Scale (p,) of each parameter that gives its column unit norm."""
         return np.asarray(1.0 / np.sqrt(np.maximum(np.diag(self.gram), _SMALLEST)))
 
-    def with_priors(self, precision: Array, scale: Array | None = None) -> Solver:
-        """Return the equations with prior precisions (p,).
+    def covariance(self, precision: Array) -> Array:
+        """Return the inverse of X^T X + P for prior precisions (p,)."""
+        scale = self.scale
+        return inverse_psd(self._scaled(precision, scale)) * (scale[:, None] * scale)
+
+    def with_priors(self, precision: Array, scale: Array | None = None) -> Factored:
+        """Return what solves X^T X + P for prior precisions (p,); X^T X itself is not kept.
 
         For a subset of the readings pass the ``scale`` of all: what it does not determine is then zero up to rounding.
         """
         scale = self.scale if scale is None else scale
-        return Solver(self, precision, scale)
+        scaled = self._scaled(precision, scale)
+        factor = cholesky(scaled)
+        return Factored(scaled if factor is None else factor, scale, is_factor=factor is not None)
+
+    def _scaled(self, precision: Array, scale: Array) -> Array:
+        """Return X^T X + P with each parameter in its scale (p,), which makes them comparable."""
+        A = self.gram * (scale[:, None] * scale)
+        A.flat[:: len(A) + 1] += precision * scale**2
+        return A
 
     def determined(self, precision: Array) -> float:
         """Return the effective number of parameters that the readings determine beside prior precisions (p,)."""
-        return len(precision) - float(np.sum(precision * np.diag(self.with_priors(precision).covariance)))
+        return len(precision) - float(np.sum(precision * np.diag(self.covariance(precision))))
 
     def behind(self, flat: int, precision: Array) -> NormalMatrix:
         """Eliminate the first ``flat`` columns, with prior precisions (flat,); return the equations of the others.
 
         The coordinates become fewer by the effective number of parameters that the readings determine.
         """
-        inverse = self.take(np.arange(flat)).with_priors(precision).covariance
+        inverse = self.take(np.arange(flat)).covariance(precision)
         cross, moment = self.gram[:flat, flat:], self.moment[:flat]
         explained = inverse @ cross
         return NormalMatrix(
@@ -137,42 +149,6 @@ class NormalMatrix:
             self.square - float(moment @ inverse @ moment),
             self.coordinates - (flat - float(np.sum(precision * np.diag(inverse)))),
         )
-
-
-@dataclass(frozen=True, eq=False)
-class Solver:
-    """Normal equations with prior precisions (p,); ``scale`` (p,) makes the parameters comparable."""
-
-    normal: NormalMatrix
-    precision: Array
-    scale: Array
-
-    @cached_property
-    def covariance(self) -> Array:
-        """Inverse of X^T X + P."""
-        return inverse_psd(self._scaled()) * (self.scale[:, None] * self.scale)
-
-    @cached_property
-    def solution(self) -> Array:
-        """Values (p,) of all parameters under the priors."""
-        return self.solve(self.normal.moment)
-
-    def solve(self, rhs: Array) -> Array:
-        """``(X^T X + P)^-1 rhs`` for (p,) or (p, r)."""
-        return self.factored.solve(rhs)
-
-    @cached_property
-    def factored(self) -> Factored:
-        """What solves without X^T X."""
-        scaled = self._scaled()
-        factor = cholesky(scaled)
-        return Factored(scaled if factor is None else factor, self.scale, is_factor=factor is not None)
-
-    def _scaled(self) -> Array:
-        """Return X^T X + P with each parameter in its scale; not cached, as it is large."""
-        A = self.normal.gram * (self.scale[:, None] * self.scale)
-        A.flat[:: len(A) + 1] += self.precision * self.scale**2
-        return A
 
 
 @dataclass(frozen=True, eq=False)
@@ -605,11 +581,8 @@ def _identify(
 
     ``near`` is an identification of the same terms, whose values are the start.
     """
-    columns = data.term_columns(terms)
-    order = np.argsort([column.joint is None for column in columns], kind="stable").astype(np.intp)
-    settings = data.profile.calibration
+    columns, settings = data.term_columns(terms), data.profile.calibration
     start = _start_values(data, terms, columns) if near is None else near.effect_values[: len(columns)]
-    effects = _effect_columns(columns, order, start, len(data)) if columns else None
     found = identify(
         data.model.geometry if near is None else near.geometry,
         data.readings.q,
@@ -620,27 +593,11 @@ def _identify(
         prior_sigma=data.prior_sigma,
         prior_mean=data.model.nominal,
         robust=settings.robust,
-        effects=effects,
+        effects=EffectColumns.of(columns, len(data), start) if columns else None,
         tolerance=max(settings.tolerance, TOLERANCE if smoothness_of(terms) is None else _SMOOTH_TOLERANCE),
         max_iterations=max(settings.max_iterations, _LEAST_STEPS),
     ).settled("fit of geometry and effects")
-    return _reordered(found, np.argsort(order)), columns
-
-
-def _effect_columns(columns: Sequence[EffectColumn], order: NDArray[np.intp], start: Array, n: int) -> EffectColumns:
-    """Arrange columns at n readings for the identification: joint offsets first, start values ``start`` (m,)."""
-    of_joints = [columns[place] for place in order if columns[place].joint is not None]
-    of_smr = [columns[place] for place in order if columns[place].joint is None]
-    sd = prior_sd(columns)
-    return EffectColumns(
-        names=tuple(columns[place].name for place in order),
-        units=tuple(columns[place].unit for place in order),
-        joints=np.array([column.joint for column in of_joints], dtype=np.intp),
-        offsets=np.array([column.offset for column in of_joints]).reshape(-1, n),
-        shifts_M=np.array([column.shift_M for column in of_smr]).reshape(-1, n, 3).swapaxes(1, 2),
-        prior_sd=None if sd is None else sd[order],
-        start=start[order],
-    )
+    return found, columns
 
 
 def _start_values(data: ArmData, terms: ModelTerms, columns: Sequence[EffectColumn]) -> Array:
@@ -648,21 +605,6 @@ def _start_values(data: ArmData, terms: ModelTerms, columns: Sequence[EffectColu
     slugs = (term.slug for term in terms for _ in range(term.size))
     pairs = zip(slugs, columns, strict=True)
     return np.array([data.start.get((slug, column.name), 0.0) for slug, column in pairs])
-
-
-def _reordered(found: Identification, effects: NDArray[np.intp]) -> Identification:
-    """Put the effect parameters into the order ``effects``."""
-    size = len(found.parameter_set.columns)
-    place = np.concatenate([np.arange(size), size + effects]).astype(np.intp)
-    return replace(
-        found,
-        names=tuple(found.names[i] for i in place),
-        units=tuple(found.units[i] for i in place),
-        values=found.values[place],
-        covariance=found.covariance[np.ix_(place, place)],
-        mean=found.mean[place],
-        precision=found.precision[place],
-    )
 
 
 def _fitted_model(data: ArmData, found: Identification, terms: ModelTerms, layout: TermLayout) -> ArmModel:
@@ -756,7 +698,8 @@ def _left_out(fit: JointFit, new_rows: Array, fold: NDArray[np.intp]) -> Iterato
             rows = np.concatenate([fit.rows, new])
             precision = np.concatenate([fit.precision, np.zeros(len(new))])
             of_all = np.concatenate([fit.normal.scale, np.ones(len(new))])
-            solution = NormalMatrix.of(rows[:, learnt], target[learnt]).with_priors(precision, of_all).solution
+            normal = NormalMatrix.of(rows[:, learnt], target[learnt])
+            solution = normal.with_priors(precision, of_all).solve(normal.moment)
             yield one.residual, target[one.out] - solution @ rows[:, one.out]
             continue
         moment = B @ target[learnt] - taken.T @ one.moment
@@ -785,9 +728,10 @@ def _folds(fit: JointFit, fold: NDArray[np.intp]) -> list[_Fold]:
         whole = fit.normal
         for number in range(int(fold.max()) + 1):
             out = fold == number
-            solver = (whole - NormalMatrix.of(rows[:, out], target[out])).with_priors(fit.precision, whole.scale)
-            residual = target[out] - solver.solution @ rows[:, out]
-            found.append(_Fold(out, solver.factored, solver.normal.moment, residual))
+            normal = whole - NormalMatrix.of(rows[:, out], target[out])
+            learnt = normal.with_priors(fit.precision, whole.scale)
+            residual = target[out] - learnt.solve(normal.moment) @ rows[:, out]
+            found.append(_Fold(out, learnt, normal.moment, residual))
         fit.derived[key] = found
     kept: list[_Fold] = fit.derived[key]
     return kept

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.estimation.calibration.identification import TooFewReadings
+from cellapp.estimation.calibration.identification import TooFewReadings, refused_by_arm
 from cellapp.estimation.calibration.least_squares import covariance_with_priors, with_excess
 from cellapp.estimation.calibration.parameters import (
     EXPECTED_SCATTER_M,
@@ -221,47 +221,36 @@ def tracker_covariance(tracker: Tracker, p_M: Array) -> Array:
     return np.asarray(across[:, None, None] ** 2 * (np.eye(3) - dyads) + along[:, None, None] ** 2 * dyads)
 
 
-@dataclass(frozen=True, eq=False)
-class ForecastDesign:
-    """Expected readings of one arm as data of a search, with priors of typical arms instead of estimated ones."""
+def planned_data(profile: Profile, plan: Mapping[str, Array], expected: PlannedReadings) -> dict[str, ArmData]:
+    """Return ``expected_readings`` as data of a search, with priors of typical arms instead of estimated ones.
 
-    name: str
-    data: ArmData
-
-    @classmethod
-    def of(cls, arm: ArmReadings) -> ForecastDesign:
-        """Build the design from the result of ``expected_readings``."""
-        profile, name, model, readings = arm.profile, arm.name, arm.model, arm.readings
+    Raise as ``expected_readings``, or if a parameter set is wrong.
+    """
+    found = {}
+    for name, arm in expected_readings(profile, plan, expected).items():
+        model, its = arm.model, arm.quantities()
         stated = prior_sigmas(model.nominal, profile.calibration.priors, profile.arms[name].fixed)
-        wanted = profile.calibration.parameter_set
-        try:
-            estimated, _ = estimated_parameters(wanted, model.nominal, stated)
-        except ValueError as error:
-            raise InputError(f"arm '{name}': calibration.parameter_set: {error}") from None
+        with refused_by_arm(name):
+            estimated, _ = estimated_parameters(profile.calibration.parameter_set, model.nominal, stated)
         # without typical spreads, parameters of "full" that the stops cannot distinguish would have no standard error
         priors = {**typical_spreads(model.nominal.joints), **stated}
-        covariance = readings.covariance_M
-        assert covariance is not None
-        its = {**vars(arm.quantities()), "sigma": covariance}
-        return cls(name, ArmData(**its, profile=profile, model=model, parameter_set=estimated, prior_sigma=priors))
-
-    def with_scatter(self, scatter_m: float) -> ForecastDesign:
-        """Return the design with a scatter of every coordinate [m] beside the tracker's noise."""
-        assert self.data.stated is not None
-        return replace(self, data=replace(self.data, sigma=with_excess(self.data.stated, scatter_m**2)))
+        weighed = {**vars(its), "sigma": its.stated}
+        found[name] = ArmData(**weighed, profile=profile, model=model, parameter_set=estimated, prior_sigma=priors)
+    return found
 
 
-def arm_designs(profile: Profile, plan: Mapping[str, Array], expected: PlannedReadings) -> dict[str, ForecastDesign]:
-    """Return the designs of all arms of a plan. Raise as ``expected_readings``, or if a parameter set is wrong."""
-    return {name: ForecastDesign.of(arm) for name, arm in expected_readings(profile, plan, expected).items()}
+def _with_scatter(data: ArmData, scatter_m: float) -> ArmData:
+    """Return planned data with a scatter of every coordinate [m] beside the tracker's noise."""
+    assert data.stated is not None
+    return replace(data, sigma=with_excess(data.stated, scatter_m**2))
 
 
-def planned_accuracy(design: ForecastDesign, scatter_m: float) -> PlannedAccuracy:
+def planned_accuracy(data: ArmData, scatter_m: float) -> PlannedAccuracy:
     """Compute standard errors of predicted SMR positions at the stops, and of the determined parameters.
 
     ``scatter_m`` [m] is a scatter of every coordinate beside the tracker's noise.
     """
-    data = design.with_scatter(scatter_m).data
+    data = _with_scatter(data, scatter_m)
     parameters, priors = data.parameter_set, prior_sds(data.parameter_set, data.prior_sigma)
     _, J = parameters.jacobian(data.model.geometry, JointAngles.of(data.readings.q))
     white = whitening(data.sigma)
@@ -288,7 +277,7 @@ def accuracy_of(
     )
 
 
-def planned_effects(design: ForecastDesign) -> tuple[PlannedEffect, ...]:
+def planned_effects(data: ArmData) -> tuple[PlannedEffect, ...]:
     """Return for each effect of the library whether the stops can show it, and from which sizes on.
 
     Raises
@@ -296,7 +285,7 @@ def planned_effects(design: ForecastDesign) -> tuple[PlannedEffect, ...]:
     InputError
         If the stops are too few to look for any effect beside the geometry.
     """
-    scattered = {one.effect: one.smallest_seen_rms_mm for _, one in _absent(design.with_scatter(EXPECTED_SCATTER_M))}
+    scattered = {one.effect: one.smallest_seen_rms_mm for _, one in _absent(_with_scatter(data, EXPECTED_SCATTER_M))}
     return tuple(
         PlannedEffect.like(
             one,
@@ -305,17 +294,14 @@ def planned_effects(design: ForecastDesign) -> tuple[PlannedEffect, ...]:
             smallest_seen=one.smallest_seen or {},
             with_scatter_rms_mm=scattered.get(one.effect),
         )
-        for visible, one in _absent(design)
+        for visible, one in _absent(data)
     )
 
 
-def _absent(design: ForecastDesign) -> list[tuple[bool, AbsentEffect]]:
+def _absent(data: ArmData) -> list[tuple[bool, AbsentEffect]]:
     """Return whether each effect could be seen, and its smallest sizes, in the order of the library."""
-    data, settings = design.data, design.data.profile.discovery
-    too_few = (
-        f"arm '{design.name}': {counted(len(data), 'stop is', 'stops are')} too few to look for effects beside the"
-        " geometry; plan more"
-    )
+    settings = data.profile.discovery
+    too_few = f"{counted(len(data), 'stop is', 'stops are')} too few to look for effects beside the geometry; plan more"
     try:
         fit = fit_terms(data, ())
     except TooFewReadings:

@@ -13,6 +13,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import accumulate
 
 import numpy as np
 import scipy
@@ -50,6 +51,8 @@ _LEAST_LEVER = 0.05
 CURVE_LENGTHS = LengthRange(math.radians(5.0), math.radians(3.0), math.radians(40.0))
 """Length scales of a joint's curve: a gear's errors have periods from a few degrees to a turn; below 3 degrees lines of
 the spectrum describe them."""
+_CURVE_START = 2e-4
+"""First guess of the amplitudes of curves [rad]."""
 FIELD_LENGTHS = LengthRange(0.5, 0.2, 3.0)
 """Length scales of a field: layers of air and bent stands act over a good part of the workspace, and shorter fields
 need more readings than there are."""
@@ -71,12 +74,15 @@ class Component:
     form : LawForm
     groups : array, shape (m,)
         Index into ``amplitude_keys`` of each column's amplitude.
-    amplitude_keys : tuple of str
+    amplitude_keys : tuple of str, length a
         Constants of the law that hold the amplitudes.
     start : float
         First guess of the amplitudes.
     weights : array, shape (m,)
         Relative prior variances if no length scale is fitted; else unused.
+    amplitudes : array, shape (a,)
+    length : float
+        The length scale; 1 without one.
     lengths : LengthRange, optional
     length_keys : tuple of str
         Constants of the law that hold the length scale; one value for all.
@@ -93,14 +99,45 @@ class Component:
     amplitude_keys: tuple[str, ...]
     start: float
     weights: Array
+    amplitudes: Array
+    length: float = 1.0
     lengths: LengthRange | None = None
     length_keys: tuple[str, ...] = ()
     frequencies: Array | None = None
 
     @property
-    def hyperparameters(self) -> int:
-        """Number of fitted hyperparameters: amplitudes, and a length scale if there is one."""
-        return len(self.amplitude_keys) + (0 if self.lengths is None else 1)
+    def hyperparameters(self) -> Array:
+        """Logarithms (h,) of the fitted hyperparameters: amplitudes, and the length scale if there is one."""
+        return np.log([*self.amplitudes, *(() if self.lengths is None else (self.length,))])
+
+    def at(self, hyperparameters: Array) -> Component:
+        """Return the component with other ``hyperparameters`` (h,)."""
+        values = np.exp(hyperparameters)
+        length = 1.0 if self.lengths is None else float(values[-1])
+        return replace(self, amplitudes=values[: len(self.amplitude_keys)], length=length)
+
+    @property
+    def bounds(self) -> Array:
+        """Least and largest ``hyperparameters`` (2, h)."""
+        low, high = _LOG_AMPLITUDE
+        found = [(math.log(self.start) + low, math.log(self.start) + high)] * len(self.amplitude_keys)
+        if self.lengths is not None:
+            found.append((math.log(self.lengths.least), math.log(self.lengths.most)))
+        return np.array(found).T
+
+    @property
+    def variances(self) -> Array:
+        """Prior variances (m,) of the columns."""
+        return np.asarray(self.relative_variances(self.length) * self.amplitudes[self.groups] ** 2)
+
+    @property
+    def by_hyperparameters(self) -> Array:
+        """Derivatives (m, h) of the logarithms of ``variances``."""
+        by_amplitudes: Array = 2.0 * (self.groups[:, None] == np.arange(len(self.amplitude_keys)))
+        if self.lengths is None:
+            return by_amplitudes
+        longer = self.relative_variances(self.length * math.exp(_LENGTH_STEP))
+        return np.column_stack([by_amplitudes, np.log(longer / self.relative_variances(self.length)) / _LENGTH_STEP])
 
     def relative_variances(self, length: float) -> Array:
         """Return prior variances (m,) at unit amplitude."""
@@ -116,12 +153,11 @@ class Component:
         """Cycles a turn of each column (m,), zero for columns that are no waves."""
         return np.array([column.cycles or 0 for column in self.columns], dtype=np.intp)
 
-    def law(self, amplitudes: Array, length: float) -> Law:
-        """Return the law with its hyperparameters."""
-        found = dict(self.constants)
-        found |= dict(zip(self.amplitude_keys, amplitudes.tolist(), strict=True))
-        found |= dict.fromkeys(self.length_keys, length)
-        return self.form.law(found)
+    @property
+    def law(self) -> Law:
+        """The law with its hyperparameters."""
+        amplitudes = dict(zip(self.amplitude_keys, self.amplitudes.tolist(), strict=True))
+        return self.form.law({**self.constants, **amplitudes, **dict.fromkeys(self.length_keys, self.length)})
 
     def of_amplitudes(self, kept: Sequence[int]) -> Component:
         """Return the component with some of its amplitudes only."""
@@ -129,8 +165,13 @@ class Component:
         keys = [self.amplitude_keys[k] for k in kept]
         lengths = [key for key in self.length_keys if len(self.length_keys) == 1 or _same_joint(key, keys)]
         some = self._take(places)
-        groups = np.searchsorted(np.asarray(sorted(kept)), some.groups)
-        return replace(some, groups=groups, amplitude_keys=tuple(keys), length_keys=tuple(lengths))
+        return replace(
+            some,
+            groups=np.searchsorted(np.asarray(sorted(kept)), some.groups),
+            amplitude_keys=tuple(keys),
+            amplitudes=self.amplitudes[list(kept)],
+            length_keys=tuple(lengths),
+        )
 
     def coarse(self) -> Component:
         """Return the component with the slower half of its waves, if it has a length scale."""
@@ -186,6 +227,8 @@ def _plain(data: ArmData, fit: JointFit, slug: str, form: LawForm, law: SmoothLa
         amplitude_keys=(AMPLITUDE.name,),
         start=law.start,
         weights=np.array([column.prior_sd**2 for column in columns]),
+        amplitudes=np.array([law.start]),
+        length=1.0 if law.lengths is None else law.lengths.start,
         lengths=law.lengths,
         length_keys=() if law.lengths is None else (LENGTH.name,),
     )
@@ -210,8 +253,10 @@ def _curves(data: ArmData, fit: JointFit) -> Component | None:
         constants=constants,
         groups=np.array([len(joints) if (c.cycles or 0) > CURVE_CYCLES else place[c.index or 0] for c in columns]),
         amplitude_keys=(*(amplitude for amplitude, _ in keys.values()), LINE_AMPLITUDE.name),
-        start=2e-4,
+        start=_CURVE_START,
         weights=np.ones(len(columns)),
+        amplitudes=np.full(len(joints) + 1, _CURVE_START),
+        length=CURVE_LENGTHS.start,
         lengths=CURVE_LENGTHS,
         length_keys=tuple(length for _, length in keys.values()),
     )
@@ -255,31 +300,6 @@ _MOST_STEPS, _LONGEST_STEP, _PARTS = 12, 2.0, (1.0, 0.5, 0.25, 0.1)
 """Most steps, the longest step of a logarithm, and the parts of a step that are tried until the evidence rises."""
 _RIDGE = 1e-6
 """Added to the information, relative to its largest diagonal element: idle amplitudes have none."""
-
-
-@dataclass(frozen=True, eq=False)
-class Hyperparameters:
-    """Amplitudes of each component, its length scale (1 if it has none), and the noise variance s."""
-
-    amplitudes: tuple[Array, ...]
-    lengths: tuple[float, ...]
-    noise: float
-
-    def without(self, component: int) -> Hyperparameters:
-        """Return the hyperparameters of all components but one."""
-        return Hyperparameters(
-            self.amplitudes[:component] + self.amplitudes[component + 1 :],
-            self.lengths[:component] + self.lengths[component + 1 :],
-            self.noise,
-        )
-
-    def variances(self, components: Sequence[Component]) -> Array:
-        """Return the prior variances of all columns."""
-        found = [
-            one.relative_variances(length) * amplitudes[one.groups] ** 2
-            for one, amplitudes, length in zip(components, self.amplitudes, self.lengths, strict=True)
-        ]
-        return np.concatenate(found) if found else np.zeros(0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -354,15 +374,12 @@ class ProcessEvidence:
         return 0.5 * np.append(by_variance @ T, by_noise), 0.5 * information
 
 
-def losses(data: NormalMatrix, variance: Array, noise: float, ends: Sequence[int]) -> Array:
+def losses(at: ProcessEvidence, ends: Sequence[int]) -> Array:
     """Return the loss of log evidence (c,) without each of c consecutive groups of columns, which end at ``ends``.
 
     With x the solution of A x = b for all columns, and C = A^-1, the loss without the group g follows from its blocks:
     ``(ln det C_gg + x_g^T C_gg^-1 x_g) / 2`` (inverse of a partitioned matrix).
     """
-    at = ProcessEvidence.of(data, variance, noise)
-    if at is None:
-        return np.full(len(ends), math.inf)
     solution = at.solution
     inverse = scipy.linalg.lapack.dpotri(at.lower, lower=1)[0] if len(solution) else at.lower
     found, first = np.zeros(len(ends)), 0
@@ -374,87 +391,6 @@ def losses(data: NormalMatrix, variance: Array, noise: float, ends: Sequence[int
             found[group] = float(np.log(np.diag(lower)).sum()) + 0.5 * explained
         first = end
     return found
-
-
-@dataclass(frozen=True, eq=False)
-class _Packing:
-    """Conversion of hyperparameters to one vector of logarithms: amplitudes, existing length scales, noise."""
-
-    components: tuple[Component, ...]
-
-    def pack(self, values: Hyperparameters) -> Array:
-        amplitudes = [np.log(one) for one in values.amplitudes]
-        lengths = [math.log(length) for one, length in zip(self.components, values.lengths, strict=True) if one.lengths]
-        return np.concatenate([*amplitudes, np.array([*lengths, math.log(values.noise)])])
-
-    def unpack(self, theta: Array) -> Hyperparameters:
-        amplitudes, at = [], 0
-        for one in self.components:
-            amplitudes.append(np.exp(theta[at : at + len(one.amplitude_keys)]))
-            at += len(one.amplitude_keys)
-        lengths = []
-        for one in self.components:
-            lengths.append(math.exp(theta[at]) if one.lengths else 1.0)
-            at += 1 if one.lengths else 0
-        return Hyperparameters(tuple(amplitudes), tuple(lengths), math.exp(theta[-1]))
-
-    def bounds(self, noise: float) -> list[tuple[float, float]]:
-        low, high = _LOG_AMPLITUDE
-        starts = [math.log(one.start) for one in self.components for _ in one.amplitude_keys]
-        found = [(start + low, start + high) for start in starts]
-        found += [(math.log(one.lengths.least), math.log(one.lengths.most)) for one in self.components if one.lengths]
-        return [*found, (math.log(noise) + _LOG_NOISE[0], math.log(noise) + _LOG_NOISE[1])]
-
-    def by_parameter(self, values: Hyperparameters) -> Array:
-        """Return the derivatives of the columns' log variances with respect to all parameters but the noise."""
-        amplitudes, lengths = [], []
-        for one, length in zip(self.components, values.lengths, strict=True):
-            amplitudes.append(2.0 * (one.groups[:, None] == np.arange(len(one.amplitude_keys))))
-            longer = one.relative_variances(length * math.exp(_LENGTH_STEP))
-            of_length = np.log(longer / one.relative_variances(length))[:, None] / _LENGTH_STEP
-            lengths.append(of_length if one.lengths else of_length[:, :0])
-        return np.hstack([scipy.linalg.block_diag(*amplitudes), scipy.linalg.block_diag(*lengths)])
-
-
-def first_guess(components: Sequence[Component], data: NormalMatrix) -> Hyperparameters:
-    """Return start values of the hyperparameters: all variance is noise, as from less the evidence can rise to none."""
-    return Hyperparameters(
-        tuple(np.full(len(one.amplitude_keys), one.start) for one in components),
-        tuple(one.lengths.start if one.lengths else 1.0 for one in components),
-        data.square / data.coordinates,
-    )
-
-
-def most_evident(components: Sequence[Component], data: NormalMatrix, start: Hyperparameters) -> Hyperparameters:
-    """Maximise the evidence near ``start`` by Fisher scoring (Longford, Biometrika 74 (1987) 817)."""
-    packing = _Packing(tuple(components))
-    low, high = np.array(packing.bounds(data.square / data.coordinates)).T
-
-    def evidence(theta: Array) -> ProcessEvidence | None:
-        values = packing.unpack(theta)
-        return ProcessEvidence.of(data, values.variances(components), values.noise)
-
-    theta = np.clip(packing.pack(start), low, high)
-    best = evidence(theta)
-    for _ in range(_MOST_STEPS):
-        if best is None:
-            break
-        slope, information = best.slope(packing.by_parameter(packing.unpack(theta)))
-        free = ((theta > low) | (slope > 0.0)) & ((theta < high) | (slope < 0.0))
-        information.flat[:: len(theta) + 1] += _RIDGE * information.diagonal().max()
-        step = np.zeros(len(theta))
-        step[free] = np.linalg.solve(information[free][:, free], slope[free])
-        step = np.clip(step, -_LONGEST_STEP, _LONGEST_STEP)
-        trials = [np.clip(theta + part * step, low, high) for part in _PARTS]
-        tried = ((trial, found) for trial in trials if (found := evidence(trial)) is not None)
-        better = next(((trial, found) for trial, found in tried if found.value > best.value), None)
-        if better is None:
-            break
-        gain = better[1].value - best.value
-        theta, best = better
-        if gain < _LEAST_GAIN:
-            break
-    return packing.unpack(theta)
 
 
 LEAST_READINGS = 40
@@ -469,84 +405,134 @@ _SMALLEST = 1e-300
 
 @dataclass(frozen=True, eq=False)
 class StructuredProcess:
-    """Components with their hyperparameters, in the complement of a model's parameters.
+    """Components in the complement of a model's parameters.
 
     Attributes
     ----------
     components : tuple of Component
-    values : Hyperparameters
+    noise : float
+        Variance s of the noise.
     gram : NormalMatrix
         Gram matrix of their columns.
     """
 
     components: tuple[Component, ...]
-    values: Hyperparameters
+    noise: float
     gram: NormalMatrix
 
     @classmethod
-    def fitted(cls, fit: JointFit, chosen: Sequence[Component], start: Hyperparameters | None) -> StructuredProcess:
-        """Find hyperparameters from ``start``; drop amplitudes that move the SMR by far less than the noise."""
+    def fitted(cls, fit: JointFit, chosen: Sequence[Component], noise: float | None = None) -> StructuredProcess:
+        """Find hyperparameters near those of the components; drop amplitudes that move the SMR by far less than noise.
+
+        Without a ``noise`` to begin with all variance is noise, as from less the evidence can rise to none.
+        """
         gram = gathered(fit, chosen)
-        begin = first_guess(chosen, gram) if start is None else start
-        return cls(tuple(chosen), most_evident(chosen, gram, begin), gram).without_idle()
+        noise = gram.square / gram.coordinates if noise is None else noise
+        return cls(tuple(chosen), noise, gram).most_evident().without_idle()
+
+    @property
+    def variances(self) -> Array:
+        """Prior variances of all columns."""
+        return np.concatenate([np.zeros(0), *(one.variances for one in self.components)])
+
+    @cached_property
+    def evidence(self) -> ProcessEvidence | None:
+        """Evidence of the columns; None if the noise is nearly zero."""
+        return ProcessEvidence.of(self.gram, self.variances, self.noise)
+
+    @property
+    def log_evidence(self) -> float:
+        """Its value; minus infinity without."""
+        return -math.inf if self.evidence is None else self.evidence.value
+
+    @property
+    def ends(self) -> list[int]:
+        """Places one past the last column of each component."""
+        return list(accumulate(len(one.columns) for one in self.components))
+
+    def most_evident(self) -> StructuredProcess:
+        """Maximise the evidence near the present values by Fisher scoring (Longford, Biometrika 74 (1987) 817)."""
+        noise = np.log(self.gram.square / self.gram.coordinates) + np.array(_LOG_NOISE)
+        low, high = np.column_stack([*(one.bounds for one in self.components), noise])
+        start = [*(value for one in self.components for value in one.hyperparameters), math.log(self.noise)]
+        theta = np.clip(start, low, high)
+        best = self._at(theta)
+        for _ in range(_MOST_STEPS):
+            if best.evidence is None:
+                break
+            slope, information = best.evidence.slope(
+                scipy.linalg.block_diag(*(one.by_hyperparameters for one in best.components))
+            )
+            free = ((theta > low) | (slope > 0.0)) & ((theta < high) | (slope < 0.0))
+            information.flat[:: len(theta) + 1] += _RIDGE * information.diagonal().max()
+            step = np.zeros(len(theta))
+            step[free] = np.linalg.solve(information[free][:, free], slope[free])
+            step = np.clip(step, -_LONGEST_STEP, _LONGEST_STEP)
+            trials = [np.clip(theta + part * step, low, high) for part in _PARTS]
+            tried = ((trial, self._at(trial)) for trial in trials)
+            better = next(((trial, found) for trial, found in tried if found.log_evidence > best.log_evidence), None)
+            if better is None:
+                break
+            gain = better[1].log_evidence - best.log_evidence
+            theta, best = better
+            if gain < _LEAST_GAIN:
+                break
+        return best
+
+    def _at(self, theta: Array) -> StructuredProcess:
+        """Return the process at other hyperparameters, the log of the noise last."""
+        *of_components, noise = np.split(theta, np.cumsum([len(one.hyperparameters) for one in self.components]))
+        components = (one.at(own) for one, own in zip(self.components, of_components, strict=True))
+        return replace(self, components=tuple(components), noise=math.exp(noise[0]))
 
     def without_idle(self) -> StructuredProcess:
         """Return the process without amplitudes whose signal is negligible against the noise."""
-        kept_components, amplitudes, lengths, places, first = [], [], [], [], 0
-        power = np.diag(self.gram.gram) * self.values.variances(self.components) / self.gram.coordinates
-        for number, one in enumerate(self.components):
-            here = power[first : first + len(one.columns)]
-            signal = np.bincount(one.groups, here, minlength=len(one.amplitude_keys)) / self.values.noise
-            kept = np.flatnonzero(signal > _LEAST_SIGNAL**2)
-            if len(kept):
-                kept_components.append(one.of_amplitudes(kept.tolist()))
-                amplitudes.append(self.values.amplitudes[number][kept])
-                lengths.append(self.values.lengths[number])
-                places.append(first + np.flatnonzero(np.isin(one.groups, kept)))
-            first += len(one.columns)
-        taken = np.concatenate(places).astype(np.intp) if places else np.zeros(0, dtype=np.intp)
-        values = Hyperparameters(tuple(amplitudes), tuple(lengths), self.values.noise)
-        return StructuredProcess(tuple(kept_components), values, self.gram.take(taken))
+        kept, places, first = list[Component](), [np.zeros(0, dtype=np.intp)], 0
+        power = np.diag(self.gram.gram) * self.variances / self.gram.coordinates
+        for one, end in zip(self.components, self.ends, strict=True):
+            signal = np.bincount(one.groups, power[first:end], minlength=len(one.amplitudes)) / self.noise
+            used = np.flatnonzero(signal > _LEAST_SIGNAL**2)
+            if len(used):
+                kept.append(one.of_amplitudes(used.tolist()))
+                places.append(first + np.flatnonzero(np.isin(one.groups, used)))
+            first = end
+        return StructuredProcess(tuple(kept), self.noise, self.gram.take(np.concatenate(places)))
 
     def without(self, component: int) -> StructuredProcess:
         """Return the process without one component, at the hyperparameters of the others."""
-        first = sum(len(one.columns) for one in self.components[:component])
-        count = len(self.components[component].columns)
-        taken = np.delete(np.arange(len(self.gram.moment)), np.s_[first : first + count])
+        first, end = [0, *self.ends][component], self.ends[component]
         rest = self.components[:component] + self.components[component + 1 :]
-        return StructuredProcess(rest, self.values.without(component), self.gram.take(taken))
+        taken = np.delete(np.arange(len(self.gram.moment)), np.s_[first:end])
+        return StructuredProcess(rest, self.noise, self.gram.take(taken))
+
+    def without_weak(self, least: float) -> StructuredProcess:
+        """Remove components whose gain is at most ``least``, the weakest first."""
+        process = self
+        while process.gains and min(process.gains) <= least:
+            process = process.without(process.gains.index(min(process.gains)))
+        return process
 
     def expected(self) -> dict[tuple[str, str], float]:
         """Return the expected value of each column, by effect and name."""
-        variances = self.values.variances(self.components)
-        at = ProcessEvidence.of(self.gram, variances, self.values.noise)
+        at = self.evidence
         if at is None:
             return {}
-        values = np.zeros(len(variances))
+        values = np.zeros(len(self.gram.moment))
         values[at.active] = at.root * at.solution
         keys = [(one.slug, column.name) for one in self.components for column in one.columns]
         return dict(zip(keys, values.tolist(), strict=True))
 
-    def without_hopeless(self, needed: float) -> StructuredProcess:
-        """Remove components whose gain falls short by as much as they would need to stay, the weakest first."""
-        process, gains = self, self.gains
-        while gains and min(gains) <= -needed:
-            process = process.without(gains.index(min(gains)))
-            gains = process.gains
-        return process
-
-    def price(self, component: int) -> float:
+    def price(self, component: Component) -> float:
         """Return the price of a component: of its hyperparameters by the Bayesian information criterion, and a margin
         for what is no effect of the library."""
-        own = self.components[component]
-        return own.hyperparameters * math.log(self.gram.coordinates) + (SCORE_MARGIN if own.slug == UNKNOWN else 0.0)
+        of_choice = SCORE_MARGIN if component.slug == UNKNOWN else 0.0
+        return len(component.hyperparameters) * math.log(self.gram.coordinates) + of_choice
 
     @cached_property
     def gains(self) -> list[float]:
-        """Return each component's gain of the score at fixed hyperparameters: twice the log evidence less its price."""
-        ends = np.cumsum([len(one.columns) for one in self.components])
-        lost = losses(self.gram, self.values.variances(self.components), self.values.noise, ends.tolist())
-        return [2.0 * loss - self.price(number) for number, loss in enumerate(lost.tolist())]
+        """Each component's gain of the score at fixed hyperparameters: twice the log evidence less its price."""
+        lost = [math.inf] * len(self.components) if self.evidence is None else losses(self.evidence, self.ends).tolist()
+        return [2.0 * loss - self.price(one) for one, loss in zip(self.components, lost, strict=True)]
 
 
 def gathered(fit: JointFit, chosen: Sequence[Component]) -> NormalMatrix:
@@ -569,30 +555,20 @@ def fit_process(
     candidates = components(data, fit) if candidates is None else candidates
     if not candidates:
         return None
-    screened = StructuredProcess.fitted(fit, [one.coarse() for one in candidates], None)
-    screened = screened.without_hopeless(needed)
-    if not screened.components:
-        return None
-    scatter = _noise(data, fit, screened)
-    process = screened
-    for whole in (False, True):  # the noise about few waves without it gives poor weights
-        weighed = replace(data, sigma=uncertainty_with_scatter(data, scatter))
-        chosen = _whole(candidates, process.components) if whole else process.components
-        fit, process = _fitted_anew(weighed, fit, chosen, process)
+    process = StructuredProcess.fitted(fit, [one.coarse() for one in candidates]).without_weak(-needed)
+    weighed = data
+    for with_all_waves in (False, True):  # the noise about few waves without the first of these fits gives poor weights
         if not process.components:
             return None
-        scatter = _noise(weighed, fit, process)
-    process = needed_components(process, needed)
+        weighed = replace(data, sigma=uncertainty_with_scatter(data, _noise(weighed, fit, process)))
+        chosen = _whole(candidates, process.components) if with_all_waves else process.components
+        fit = fit_terms(weighed, fit.terms)
+        here = [replace(one, rows=fit.displacements(one.columns)) for one in chosen]
+        process = StructuredProcess.fitted(fit, here, noise=1.0)
+    if not process.components:
+        return None
+    scatter, process = _noise(weighed, fit, process), process.without_weak(needed)
     return (process, scatter) if process.components else None
-
-
-def _fitted_anew(
-    data: ArmData, fit: JointFit, chosen: Sequence[Component], before: StructuredProcess
-) -> tuple[JointFit, StructuredProcess]:
-    """Fit a process again after a change of weights, from the hyperparameters found ``before``."""
-    fit = fit_terms(data, fit.terms)
-    here = [replace(one, rows=fit.displacements(one.columns)) for one in chosen]
-    return fit, StructuredProcess.fitted(fit, here, replace(before.values, noise=1.0))
 
 
 def _noise(data: ArmData, fit: JointFit, process: StructuredProcess) -> Excess:
@@ -637,8 +613,8 @@ def _about(fit: JointFit, process: StructuredProcess, n: int) -> tuple[Array, Ar
     """Return whitened residuals (n, 3) about a process, and the share (n, 3, 3) of each reading's own noise in what
     was fitted to it."""
     rows = np.concatenate([one.rows for one in process.components])
-    noise, projector = process.values.noise, fit.projector
-    variances = np.maximum(process.values.variances(process.components), _SMALLEST)
+    noise, projector = process.noise, fit.projector
+    variances = np.maximum(process.variances, _SMALLEST)
     lower = scipy.linalg.cholesky(process.gram.gram / noise + np.diag(1.0 / variances), lower=True, check_finite=False)
     half = scipy.linalg.solve_triangular(lower, projector.project(rows), lower=True, check_finite=False)
     half /= math.sqrt(noise)
@@ -654,31 +630,17 @@ def _whole(candidates: Sequence[Component], screened: Sequence[Component]) -> li
     found = []
     for one in screened:
         whole = next(other for other in candidates if (other.slug, other.form) == (one.slug, one.form))
-        found.append(whole.of_amplitudes([whole.amplitude_keys.index(key) for key in one.amplitude_keys]))
+        some = whole.of_amplitudes([whole.amplitude_keys.index(key) for key in one.amplitude_keys])
+        found.append(some.at(one.hyperparameters))
     return found
-
-
-def needed_components(process: StructuredProcess, needed: float) -> StructuredProcess:
-    """Remove the components that the evidence does not need, the least needed first."""
-    while process.components:
-        gains = process.gains
-        weakest = int(np.argmin(gains))
-        if gains[weakest] > needed:
-            break
-        process = process.without(weakest)
-    return process
 
 
 def process_terms(process: StructuredProcess, scatter: Excess) -> ModelTerms:
     """Return the components as smooth terms of a model, with the columns whose prior matters."""
     terms, first = [], 0
-    variances = process.values.variances(process.components)
-    power = np.diag(process.gram.gram) * variances / process.values.noise
-    gains = process.gains
-    for number, one in enumerate(process.components):
-        here = power[first : first + len(one.columns)]
-        first += len(one.columns)
-        names = tuple(one.columns[k].name for k in np.flatnonzero(here > NEGLIGIBLE_COLUMN))
-        law = one.law(process.values.amplitudes[number], process.values.lengths[number])
-        terms.append(ModelTerm(one.slug, law, names, Smoothness(gains[number], one.hyperparameters, scatter)))
+    matters = np.diag(process.gram.gram) * process.variances / process.noise > NEGLIGIBLE_COLUMN
+    for one, end, gain in zip(process.components, process.ends, process.gains, strict=True):
+        names = tuple(one.columns[k].name for k in np.flatnonzero(matters[first:end]))
+        terms.append(ModelTerm(one.slug, one.law, names, Smoothness(gain, len(one.hyperparameters), scatter)))
+        first = end
     return tuple(terms)

@@ -65,13 +65,6 @@ class RunnerUp(Record):
     )
 
 
-class Correlation(Record):
-    """The geometric parameter that an effect is most correlated with."""
-
-    parameter: str
-    correlation: float
-
-
 class PlaceMovement(Record):
     """Rms displacement of the SMR [mm] at the readings by one joint or frame ``where``, and the parameters of it."""
 
@@ -92,17 +85,12 @@ class CycleBand(Record):
 
 
 class TermDescription(Record):
-    """A data-driven term in words and, where one fits as well, as a formula (empty where none does).
-
-    ``curve`` are points (variable, value of the term) in SI units, for terms of one variable.
-    """
+    """A data-driven term in words and, where one fits as well, as a formula (empty where none does)."""
 
     channel: str
     variables: tuple[str, ...]
     size_um: float
     formula: str
-    gain_over_curve: float | None
-    curve: tuple[tuple[float, float], ...] = ()
     sentence: str
 
 
@@ -137,9 +125,7 @@ class AcceptedEffect(Record):
     where: Place
     parameters: Mapping[str, Estimate]
     evidence: Evidence
-    answer_set: tuple[str, ...]
     runners_up: tuple[RunnerUp, ...]
-    correlated_with: Correlation | None
     posterior: float | None = None
     law_misfit: float | None = None
     meaning: EffectMeaning | None = None
@@ -151,7 +137,12 @@ class AcceptedEffect(Record):
     @property
     def indistinguishable(self) -> tuple[str, ...]:
         """Effects that would explain these data as well."""
-        return tuple(slug for slug in self.answer_set if slug != self.effect)
+        return tuple(alternative.effect for alternative in self.runners_up if not alternative.distinguishable)
+
+    @property
+    def answer_set(self) -> tuple[str, ...]:
+        """The effect and those that would explain these data as well: one of them is there."""
+        return (self.effect, *self.indistinguishable)
 
     @property
     def ruled_out(self) -> tuple[str, ...]:
@@ -248,18 +239,6 @@ class RemainingStructure(Record):
     sentence: str
 
 
-class Contradiction(Record):
-    """What looks like a named effect with an impossible sign or size; it counts as unknown.
-
-    ``joints`` count from 1; ``size_um`` is the rms displacement of the SMR.
-    """
-
-    effect: str
-    joints: tuple[int, ...]
-    size_um: float
-    sentence: str
-
-
 class MotionEffectResult(Record):
     """An effect that recordings of motion show; ``only_motion`` says why stops cannot, None where they can.
 
@@ -307,7 +286,6 @@ class ArmDiscoveryResult(Record):
     """Discovery in the data of one arm; ``heldout_mm`` are rms errors on stops that the search did not see.
 
     ``validate`` has the held-out errors of the model with what was found; it is empty where nothing was.
-    ``network_mm`` is the rms correction of a residual network trained before and after the effects were added.
     ``scatter`` is the root of chi-square per degree of freedom of the residuals, ``omnibus_p`` its p-value.
     ``candidates`` has the posterior probability of every effect that was tested, by its slug.
     ``left_out_configurations`` are those of readings with gross errors, on which nothing here rests.
@@ -328,11 +306,9 @@ class ArmDiscoveryResult(Record):
     scatter: float | None
     accepted: tuple[AcceptedEffect, ...]
     candidates: Mapping[str, float] = {}
-    contradictions: tuple[Contradiction, ...] = ()
     structure: RemainingStructure | None = None
     invisible: tuple[AbsentEffect, ...]
     not_found: tuple[AbsentEffect, ...]
-    network_mm: BeforeAfter | None = None
     uncertainty_mm: PredictedUncertainty | None = None
     pictures: tuple[Picture, ...] = ()
     validate_: Mapping[Stage, StageErrors] = {}

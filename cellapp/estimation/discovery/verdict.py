@@ -337,7 +337,7 @@ def verdict(
     driven = [effect.description for effect in accepted if effect.description is not None]
     named = [effect for effect in accepted if effect.effect != UNKNOWN]
     names = " and ".join(EFFECTS[effect.effect].title for effect in named)
-    ambiguous = [effect for effect in named if len(effect.answer_set) > 1]
+    ambiguous = [effect for effect in named if effect.indistinguishable]
     if driven:
         also = f"{names}, and " if names else ""
         described = "; ".join(description.sentence for description in driven)
@@ -408,5 +408,5 @@ def _gap_closed(floor_mm: float, after_mm: float, held_out: int, scatter: FitSca
 
 
 def _confounded(effects: Sequence[AcceptedEffect]) -> str:
-    slugs = dict.fromkeys(slug for effect in effects for slug in effect.answer_set[1:])
+    slugs = dict.fromkeys(slug for effect in effects for slug in effect.indistinguishable)
     return " or ".join(EFFECTS[slug].title for slug in slugs)

@@ -477,7 +477,7 @@ def _titles(named: Sequence[EffectTerm]) -> str:
 def _without_terms(rest: ArmFound) -> ArmFound:
     """Return the search with all its terms rejected."""
     result = rest.result
-    changes = {"accepted": (), "verdict": "nothing missing", "contradictions": (), "steps": result.steps[:1]}
+    changes = {"accepted": (), "verdict": "nothing missing", "steps": result.steps[:1]}
     sentence = f"{_titles(rest.terms)} would not predict held-out readings surely better, and is left out"
     return replace(rest, terms=(), result=result.model_copy(update={**changes, "sentence": sentence}))
 

@@ -330,16 +330,11 @@ class Pair(Section):
 
 
 class DiscoverySettings(Section):
-    """Search for missing effects: false-alarm rate of the whole scan, and the simulations that set its threshold.
-
-    ``network`` says after which verdicts a residual network is trained on what the accepted effects leave: *unknown
-    effect* alone, every verdict, or none.
-    """
+    """Search for missing effects: false-alarm rate of the whole scan, and the simulations that set its threshold."""
 
     false_alarm: Annotated[float, Field(strict=True, gt=0.0, lt=0.5)] = 0.003
     null_simulations: Annotated[int, Field(strict=True, ge=20, le=100_000)] = 400
     folds: Annotated[int, Field(strict=True, ge=2, le=50)] = 5
-    network: Literal["unknown", "always", "never"] = "unknown"
 
 
 class GeometryErrors(GrownSection):

@@ -17,7 +17,7 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.run.sqlite_file import REPORT_FILE
 from cellapp.commands.certificate.view import certificate_marks, certificate_sections, certificate_verdict
 from cellapp.commands.certificate_result import CertificateResult
-from cellapp.commands.report.data import ReportData, out_of_date_lines, read_report_data, unusable_arms
+from cellapp.commands.report.data import ReportData, out_of_date_lines, read_report_data
 from cellapp.commands.report.sections import report_sections
 from cellapp.commands.report.summary import header_facts, nothing_found, summary
 from cellapp.commands.stages import data_mark
@@ -102,16 +102,13 @@ def write_page(run: RunFile) -> Path:
 def page_text(run: RunFile, written: datetime) -> str:
     """Return the page as text. Raises ``InputError`` if the run is not calibrated yet."""
     data = read_report_data(run)
-    outdated = out_of_date_lines(data)
     return template("page.html").render(
         profile=data.profile,
         written=written.isoformat(timespec="seconds"),
         data_mark=data_mark(run),
         simulated=" (simulated cell)" if data.profile.is_simulated else "",
         header_facts=header_facts(data),
-        alarm_title="Out of date" if outdated else "Do not use",
-        outdated=bool(outdated),
-        alarms=[*unusable_arms(data), *outdated],
+        alarms=out_of_date_lines(data),
         next_step=data.next_step,
         summary=summary(data, data.judgements, written.date()),
         nothing_found=nothing_found(data),

@@ -275,24 +275,19 @@ class ArmModel:
         ]
         return Displacement.total(again, len(context), q.shape[1])
 
-    def true_joints(
-        self, q: Array, approach: Signs | None = None, conditions: MeasurementConditions | None = None
-    ) -> Array:
+    def true_joints(self, q: Array, conditions: MeasurementConditions | None = None) -> Array:
         """Compute true joint positions (n, N) [rad] at controller readings ``q`` (n, N) [rad]; see ``predict``."""
-        q, conditions = configurations(q, self.geometry.joints), conditions or MeasurementConditions(approach=approach)
+        q, conditions = configurations(q, self.geometry.joints), conditions or MeasurementConditions()
         return q if not self.effects else q + self.effect_displacement(q, conditions).joints
 
-    def predict(
-        self, q: Array, approach: Signs | None = None, conditions: MeasurementConditions | None = None
-    ) -> Array:
+    def predict(self, q: Array, conditions: MeasurementConditions | None = None) -> Array:
         """Predict SMR positions (n, 3) in the tracker frame [m] at controller readings ``q`` (n, N) [rad].
 
-        ``approach`` (n, N) are the signs of each joint's last motion, unknown if not given. ``conditions`` replaces
-        them; it also holds payloads, times, temperatures and the state of the other arm. Rows with a measured
-        orientation return the rotation vector from it to the computed one [rad] instead. Raise ``InputError`` if ``q``
-        has another shape.
+        ``conditions`` are the sides of approach, payloads, times, temperatures and the state of the other arm, as far
+        as they are known. Rows with a measured orientation return the rotation vector from it to the computed one [rad]
+        instead. Raise ``InputError`` if ``q`` has another shape.
         """
-        q, conditions = configurations(q, self.geometry.joints), conditions or MeasurementConditions(approach=approach)
+        q, conditions = configurations(q, self.geometry.joints), conditions or MeasurementConditions()
         if self.effects:
             moved = self.effect_displacement(q, conditions)
             p_M = smr_positions(self.geometry, q + moved.joints, conditions.R_M_S) + moved.shift_M
@@ -399,16 +394,6 @@ class ArmModel:
             identified=tuple(self.identified[place] for place in kept),
             covariance=None if self.covariance is None else self.covariance[np.ix_(kept, kept)],
             posterior=None if self.posterior is None else self.posterior.of_columns(len(self.geometry.vector()) - 3),
-        )
-
-    def in_base(self) -> ArmModel:
-        """Return the arm with its base at the origin, so that it predicts positions in the base frame B."""
-        rotation = self.geometry.T_M_B()[:3, :3]
-        return replace(
-            self,
-            geometry=self.geometry.with_T_M_B(np.eye(4)),
-            nominal=self.nominal.with_T_M_B(np.eye(4)),
-            up_M=rotation.T @ self.up_M,
         )
 
 

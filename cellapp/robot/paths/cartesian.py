@@ -1,4 +1,4 @@
-"""Desired path in space: positions and rotations by arc length, places where it stops, distances from it."""
+"""Desired path in space: positions and rotations by arc length, places where it stops."""
 
 from __future__ import annotations
 
@@ -183,8 +183,6 @@ _CORNER_RAD = 1e-3
 """Change of direction above which two pieces meet in a corner, at which the arm stops."""
 _ROTATION_CORNER_RAD_M = 0.02
 """Change of the rotation per length that counts as a corner: 2 mrad/s at 100 mm/s."""
-_VERTEX_M = 2e-4
-"""Spacing of the vertices from which distances are computed; on an arc of 50 mm the chord is wrong by 0.1 um."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -264,25 +262,6 @@ class CartesianPath:
             if self._is_corner(self.courses[number - 1], self.courses[number]):
                 stops.append(float(self.begins[number]))
         return np.array([*stops, self.length])
-
-    def distances(self, points: Array) -> Array:
-        """Compute the distance (n,) [m] of ``points`` (n, 3) from the nearest point of the path, regardless of time."""
-        vertices, tree = self._vertices
-        _, nearest = tree.query(points)
-        gaps = []
-        for offset in (-1, 0):
-            first = np.clip(nearest + offset, 0, len(vertices) - 2)
-            start, way = vertices[first], vertices[first + 1] - vertices[first]
-            share = np.einsum("na,na->n", points - start, way) / np.einsum("na,na->n", way, way)
-            gaps.append(np.linalg.norm(points - start - np.clip(share, 0.0, 1.0)[:, None] * way, axis=1))
-        return np.asarray(np.minimum(*gaps))
-
-    @cached_property
-    def _vertices(self) -> tuple[Array, scipy.spatial.cKDTree]:
-        spans = zip(self.begins, self.begins[1:], strict=False)
-        s = [np.linspace(a, b, int(np.ceil((b - a) / _VERTEX_M)) + 1)[:-1] for a, b in spans]
-        vertices = self.positions(np.append(np.concatenate(s), self.length))
-        return vertices, scipy.spatial.cKDTree(vertices)
 
     def _on_courses(self, s: Array) -> list[tuple[Course, np.ndarray, Array]]:
         number = np.clip(np.searchsorted(self.begins, s, side="right") - 1, 0, len(self.courses) - 1)

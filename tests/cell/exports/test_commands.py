@@ -31,6 +31,7 @@ from cellapp.commands.export.run import export_commands
 from cellapp.commands.stages import CALIBRATION_FILE, read_stages
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY
+from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.model import CellModel
 from tests.twin import PROFILES
 from tests.verbs import correct_run, export_as_run, push_run
@@ -68,7 +69,8 @@ def signs(row: dict[str, str]) -> list[float]:
 def off_m(model: CellModel, targets: Sequence[Target], name: str, q: Array, approach: Array) -> float:
     """Largest distance [m] of the SMR from the targets of an arm by the model, from the sides ``approach``."""
     wanted = goals_of_arm(model, targets, name).position_M
-    return float(np.linalg.norm(model.arms[name].predict(q, approach) - wanted, axis=1).max())
+    reached = model.arms[name].predict(q, MeasurementConditions(approach=approach))
+    return float(np.linalg.norm(reached - wanted, axis=1).max())
 
 
 def test_the_table_brings_the_model_to_the_targets(

@@ -42,6 +42,7 @@ from cellapp.robot.model import CellModel
 from drivers.trackers.protocol import TargetLost
 from tests.cell.targets.pairs import pair_targets, stops_with_room
 from tests.crossed_beam import crossed_beam
+from tests.robot.paths.test_paths import distances_m
 from tests.twin import PROFILES, plant_of, small_twin
 from tests.verbs import push_run
 
@@ -309,7 +310,7 @@ def off_m(run: RunFile, model: CellModel, plan: PathPlan) -> Array:
         clearance = plant_of(moving.cell).clearance
         assert clearance is not None
         assert min(clearance.arms_m, clearance.floor_m) > 0.0
-    return path.distances(found.p_M)
+    return distances_m(path, found.p_M)
 
 
 def test_the_true_smr_keeps_the_tolerance_and_would_not_without_its_plays(

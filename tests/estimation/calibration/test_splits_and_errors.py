@@ -129,7 +129,7 @@ def test_no_network_is_trained_or_judged_on_rows_left_out(ur5: Entrant) -> None:
     assert trained.validate == without.validate
     result = arm_result(trained)
     assert sorted(result.left_out_configurations) == sorted(spoilt.configuration[rows].tolist())
-    assert sum(result.left_out_splits.values()) == len(rows)
+    assert sum(trained.left_out_counts.values()) == len(rows)
     assert sum(result.splits.values()) == len(spoilt) - len(rows)
 
 

@@ -362,9 +362,7 @@ def both():
     geometry, q, true, rng = turned_arm(180, 1)
     readings = readings_of(geometry, q, true, rng)
     profile = twin()
-    profile = profile.model_copy(
-        update={"discovery": profile.discovery.model_copy(update={"null_simulations": 100, "network": "never"})}
-    )
+    profile = profile.model_copy(update={"discovery": profile.discovery.model_copy(update={"null_simulations": 100})})
     found = {}
     for name, its in (("both", readings), ("points", replace(readings, quaternion_M=None, sigma_rad=None))):
         arm, _ = calibrate_arm(profile, "left", its)

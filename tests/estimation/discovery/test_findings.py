@@ -132,12 +132,13 @@ def discovered(sign: int) -> ArmDiscoveryResult:
 def test_backlash_of_the_opposite_sign_is_said_and_unknown() -> None:
     arm = discovered(sign=-1)
     assert arm.verdict == "unknown effect"
-    (found,) = arm.contradictions
-    assert (found.effect, found.joints) == ("backlash", (1, 2))
-    assert "of the opposite sign at joints 1, 2: check the approach convention" in found.sentence
-    assert 100.0 < found.size_um < 200.0
     (accepted,) = arm.accepted
     assert accepted.effect == "unknown"
+    assert accepted.where.joints == (1, 2)
+    assert accepted.description is not None
+    assert "of the opposite sign at joints 1, 2: check the approach convention" in accepted.description.sentence
+    assert accepted.description.sentence in arm.sentence
+    assert 100.0 < accepted.description.size_um < 200.0
     assert accepted.meaning is not None
     assert accepted.meaning.check[0] == "Check the approach convention of the readings."
 
@@ -146,7 +147,6 @@ def test_backlash_of_the_right_sign_is_named() -> None:
     arm = discovered(sign=1)
     assert [found.effect for found in arm.accepted] == ["backlash"]
     assert arm.verdict != "unknown effect"
-    assert arm.contradictions == ()
 
 
 # -- Short formulas: the one that a curve was made from is among them, and those that do not vary are left out ---------

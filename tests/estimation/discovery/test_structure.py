@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -15,11 +13,10 @@ from scipy.stats import multivariate_normal, pearson3
 
 from cellapp.cell.planning.plan import plan_stops
 from cellapp.cell.profile import load_profile
-from cellapp.commands.trials.blind import blind_readings, with_hidden
 from cellapp.estimation.calibration.calibrate import calibrate_arm, gross_errors
 from cellapp.estimation.calibration.quantities import ArmReadings
 from cellapp.estimation.discovery.arm_data import ArmData
-from cellapp.estimation.discovery.discover import discover_arm, needs_network, with_network
+from cellapp.estimation.discovery.discover import discover_arm
 from cellapp.estimation.discovery.joint_fit import (
     _FOLD_SEED,
     JointFit,
@@ -28,22 +25,19 @@ from cellapp.estimation.discovery.joint_fit import (
     cross_validated_gain,
     fit_terms,
 )
-from cellapp.estimation.discovery.plan_forecast import ForecastDesign, PlannedReadings, arm_designs, planned_effects
+from cellapp.estimation.discovery.plan_forecast import PlannedReadings, planned_data, planned_effects
 from cellapp.estimation.discovery.process import (
     CURVE_LENGTHS,
     Component,
-    Hyperparameters,
     ProcessEvidence,
-    first_guess,
+    StructuredProcess,
     fit_process,
-    most_evident,
 )
 from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.verdict import CHANCE, has_structure, pearson3_tail, residual_structure
 from cellapp.robot.effects import ActsOn, EffectColumn, LawForm
 from cellapp.robot.effects.context import Wave
 from cellapp.robot.kinematics.chain import smr_positions
-from cellapp.robot.model.model import network_to_json
 from tests.estimation.discovery.problems import arm_of, data_of
 from tests.evidence.shared.series import load_entrant
 from tests.twin import PROFILES, small_twin
@@ -181,18 +175,18 @@ STOPS = 60
 
 
 @pytest.fixture(scope="module")
-def design() -> ForecastDesign:
+def planned() -> ArmData:
     profile = small_twin(STOPS)
     expected = PlannedReadings(np.linspace(0.0, 8.0 * STOPS, STOPS), np.full(STOPS, 0.2))
-    return arm_designs(profile, plan_stops(profile), expected)["left"]
+    return planned_data(profile, plan_stops(profile), expected)["left"]
 
 
 @pytest.mark.parametrize("slug", ["backlash", "encoder_eccentricity", "joint_compliance"])
-def test_an_effect_of_twice_the_promised_size_scores_and_of_a_fifth_does_not(slug: str, design: ForecastDesign) -> None:
-    promised = next(one for one in planned_effects(design) if one.effect == slug)
+def test_an_effect_of_twice_the_promised_size_scores_and_of_a_fifth_does_not(slug: str, planned: ArmData) -> None:
+    promised = next(one for one in planned_effects(planned) if one.effect == slug)
     name, size = next(iter(promised.smallest_seen.items()))
-    fit = fit_terms(design.data, ())
-    scan = LawScan.of(fit.candidates(design.data, [slug]), fit.projector)
+    fit = fit_terms(planned, ())
+    scan = LawScan.of(fit.candidates(planned, [slug]), fit.projector)
     one = scan.candidates[0]
     row = one.rows[[column.name for column in one.columns].index(name)]
     scores = []
@@ -232,80 +226,6 @@ def test_discovery_of_a_real_arm_bears_gross_errors() -> None:
     assert "3 readings with gross errors were left out (configurations 80, 320, 640)" in disturbed.result.sentence
 
 
-# -- A network beside the effects: trained where the profile asks, chosen by left-out folds, not by held-out readings --
-
-PROFILE_OF_REMAINING_NETWORK = load_profile(Path(__file__).parents[3] / "profiles" / "twin.yaml")
-COMPLIANT = {"left": {"joint_compliance": {"stiffness": [9.0e4, 6.0e4, 3.5e4, 1.2e4, 1.2e4, 1.2e4]}}}
-
-
-def asking(network, kind="mlp"):
-    return PROFILE_OF_REMAINING_NETWORK.model_copy(
-        update={
-            "discovery": PROFILE_OF_REMAINING_NETWORK.discovery.model_copy(update={"network": network}),
-            "network": PROFILE_OF_REMAINING_NETWORK.network.model_copy(update={"kind": kind}),
-        }
-    )
-
-
-@pytest.fixture(scope="module")
-def searched(plan):
-    """The left arm with compliance: its readings, its calibrated model, and what discovery found."""
-    profile = with_hidden(PROFILE_OF_REMAINING_NETWORK.model_copy(update={"seed": 2}), COMPLIANT, 2)
-    readings = blind_readings(profile, plan, 2)["left"]
-    model = calibrate_arm(profile, "left", readings)[0].model
-    discovery = discover_arm(ArmReadings.alone(profile, "left", model, readings))
-    assert discovery.terms
-    return profile, readings, model, discovery
-
-
-def judged(discovery, verdict):
-    return replace(discovery, result=discovery.result.model_copy(update={"verdict": verdict}))
-
-
-def trained(searched, readings, verdict="explained", **changes):
-    profile, _, model, discovery = searched
-    discovery = replace(judged(discovery, verdict), **changes)
-    return with_network(ArmReadings.alone(profile, "left", model, readings), discovery)
-
-
-@pytest.mark.parametrize(
-    ("network", "kind", "explained", "unknown"),
-    [
-        ("unknown", "mlp", False, True),
-        ("always", "mlp", True, True),
-        ("never", "mlp", False, False),
-        ("always", "none", False, False),
-    ],
-)
-def test_a_network_is_trained_where_the_profile_asks(searched, network, kind, explained, unknown):
-    discovery, profile = searched[3], asking(network, kind)
-    assert needs_network(profile, judged(discovery, "explained")) == explained
-    assert needs_network(profile, judged(discovery, "unknown effect")) == unknown
-
-
-def test_a_network_models_what_has_no_name(searched):
-    _, readings, model, discovery = searched
-    # as if compliance had no name: the geometry alone stands for the accepted terms
-    found = trained(searched, readings, verdict="unknown effect", model=model)
-    assert found.model.network is not None
-    assert found.result.heldout_mm.after < 0.8 * discovery.result.heldout_mm.before
-    assert found.result.steps[-1].heldout_mm == found.result.heldout_mm.after
-    assert trained(searched, readings, model=model).model.network is None  # explained: the effects are the model
-
-
-def test_held_out_readings_do_not_choose_the_network(searched):
-    _, readings, model, _ = searched
-    p_M = readings.p_M.copy()
-    rows = readings.in_split("validate")
-    p_M[rows] += np.random.default_rng(1).normal(0.0, 5e-3, (len(rows), 3))
-    found = [
-        trained(searched, data, verdict="unknown effect", model=model)
-        for data in (readings, replace(readings, p_M=p_M))
-    ]
-    texts = [json.dumps(network_to_json(one.model.network)) for one in found]
-    assert texts[0] == texts[1]
-
-
 # -- Evidence of a structured process: the marginal likelihood of the readings, with right derivatives -----------------
 
 
@@ -333,6 +253,8 @@ def curve(rng):
         amplitude_keys=("amplitude",),
         start=1.0,
         weights=np.ones(2 * CYCLES),
+        amplitudes=np.array([0.8]),
+        length=0.4,
         lengths=CURVE_LENGTHS,
         length_keys=("length",),
     )
@@ -350,6 +272,7 @@ def plain(rng):
         amplitude_keys=("amplitude1", "amplitude2"),
         start=1.0,
         weights=np.array([1.0, 0.5, 1.0, 2.0]),
+        amplitudes=np.array([0.5, 0.3]),
     )
 
 
@@ -358,26 +281,26 @@ def gathered(components, y):
     return replace(NormalMatrix.of(rows, y), coordinates=float(N))
 
 
-def simulated(rng, components, values):
+NOISE = 0.1
+
+
+def simulated(rng, components):
     """Readings (N,) of the components' prior."""
     rows = np.concatenate([one.rows for one in components])
-    weights = rng.normal(size=len(rows)) * np.sqrt(values.variances(components))
-    return weights @ rows + rng.normal(0.0, math.sqrt(values.noise), N)
-
-
-TRUE = Hyperparameters((np.array([0.8]), np.array([0.5, 0.3])), (0.4, 1.0), 0.1)
+    weights = rng.normal(size=len(rows)) * np.sqrt(np.concatenate([one.variances for one in components]))
+    return weights @ rows + rng.normal(0.0, math.sqrt(NOISE), N)
 
 
 def test_it_is_the_marginal_likelihood_of_the_readings():
     rng = np.random.default_rng(1)
     parts = (curve(rng), plain(rng))
-    y = simulated(rng, parts, TRUE)
+    y = simulated(rng, parts)
     X = np.concatenate([one.rows for one in parts]).T
-    variance = TRUE.variances(parts)
-    dense = multivariate_normal(np.zeros(N), (X * variance) @ X.T + TRUE.noise * np.eye(N))
+    variance = np.concatenate([one.variances for one in parts])
+    dense = multivariate_normal(np.zeros(N), (X * variance) @ X.T + NOISE * np.eye(N))
     wanted = dense.logpdf(y) + 0.5 * N * math.log(2.0 * math.pi)
     # columns whose prior is below a thousandth of the noise are left out
-    found = ProcessEvidence.of(gathered(parts, y), variance, TRUE.noise)
+    found = ProcessEvidence.of(gathered(parts, y), variance, NOISE)
     assert found is not None
     assert found.value == pytest.approx(wanted, abs=0.02)
 
@@ -387,10 +310,11 @@ def test_hyperparameters_of_a_simulated_curve_are_recovered():
     errors = []
     for _ in range(12):
         one = curve(rng)
-        data = gathered([one], simulated(rng, [one], Hyperparameters((np.array([0.8]),), (0.4,), 0.1)))
-        values = most_evident([one], data, first_guess([one], data))
-        found = np.array([values.amplitudes[0][0] / 0.8, values.lengths[0] / 0.4, values.noise / 0.1])
-        errors.append(np.log(found))
+        data = gathered([one], simulated(rng, [one]))
+        begun = replace(one, amplitudes=np.array([one.start]), length=CURVE_LENGTHS.start)
+        found = StructuredProcess((begun,), data.square / data.coordinates, data).most_evident()
+        (curve_found,) = found.components
+        errors.append(np.log([curve_found.amplitudes[0] / 0.8, curve_found.length / 0.4, found.noise / NOISE]))
     # a turn holds some 2 pi / 0.8 independent values of the curve: 25 % for its amplitude, 8 % for the noise
     np.testing.assert_allclose(np.mean(errors, axis=0), 0.0, atol=0.2)
     assert (np.std(errors, axis=0) < (0.4, 0.4, 0.16)).all()

@@ -221,9 +221,7 @@ def test_an_arm_that_rests_after_a_gap_shows_no_side_until_it_moves():
 # -- Discovery of an arm that was recorded in motion: its model where it predicts better, and its words ----------------
 
 PROFILE = load_profile(Path(__file__).parents[3] / "profiles" / "ur10-real.yaml")
-QUICK = PROFILE.model_copy(
-    update={"discovery": DiscoverySettings(null_simulations=20, folds=2, false_alarm=0.05, network="never")}
-)
+QUICK = PROFILE.model_copy(update={"discovery": DiscoverySettings(null_simulations=20, folds=2, false_alarm=0.05)})
 """With a short search of the samples: what recordings show is searched as ever."""
 
 
@@ -262,7 +260,7 @@ def test_dense_lines_and_play_enter_the_model_and_a_lag_does_not():
     assert model_arm.covariance.shape == (len(model_arm.identified),) * 2
     q, side = motion.at(np.linspace(0.0, 50.0, 200)), np.sign(motion.speed(np.linspace(0.0, 50.0, 200)))
     true = arm.points(q - arm.half_play * side + arm.amplitude[:6] * np.sin(40.0 * q + arm.phase[:6]))
-    with_effects = np.linalg.norm(model_arm.predict(q, side) - true, axis=1)
+    with_effects = np.linalg.norm(model_arm.predict(q, MeasurementConditions(approach=side)) - true, axis=1)
     without = np.linalg.norm(smr_positions(model.arms["left"].geometry, q) - true, axis=1)
     assert np.sqrt(np.mean(with_effects**2)) < 0.5 * np.sqrt(np.mean(without**2))
     assert ArmDiscoveryResult.model_validate_json(discovery.result.model_dump_json(by_alias=True)) is not None

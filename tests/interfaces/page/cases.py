@@ -10,8 +10,6 @@ from cellapp.estimation.discovery.records import (
     AcceptedEffect,
     ArmDiscoveryResult,
     BeforeAfter,
-    Contradiction,
-    Correlation,
     CurveRecord,
     CycleBand,
     DiscoverResult,
@@ -73,9 +71,7 @@ def free_curve() -> AcceptedEffect:
         where=_joints(1, 2),
         parameters={f"cos{k}q1": Estimate(value=1e-5, standard_error=1e-6, unit="rad") for k in range(2, 60)},
         evidence=EVIDENCE,
-        answer_set=("transmission_error",),
         runners_up=(),
-        correlated_with=None,
         cycles={
             "1": CycleBand(first=9, last=37, peak=11, rms_urad=212.4),
             "2": CycleBand(first=14, last=14, peak=14, rms_urad=80.0),
@@ -84,7 +80,7 @@ def free_curve() -> AcceptedEffect:
 
 
 def ambiguous_compliance() -> AcceptedEffect:
-    """A compliance with a knee that two alternatives explain as well, and that is correlated with the geometry."""
+    """A compliance with a knee that two alternatives explain as well."""
     return AcceptedEffect(
         effect="joint_compliance",
         title="joint compliance",
@@ -92,13 +88,11 @@ def ambiguous_compliance() -> AcceptedEffect:
         where=_joints(2, 3, 4, 6),
         parameters={"compliance2": Estimate(value=1.6668e-5, standard_error=1.8e-8, unit="rad/Nm")},
         evidence=EVIDENCE,
-        answer_set=("joint_compliance", "pedestal_compliance", "link_bending"),
         runners_up=(
             RunnerUp(effect="pedestal_compliance", statistic=249.0, distinguishable=False),
             RunnerUp(effect="link_bending", statistic=248.0, distinguishable=False),
             RunnerUp(effect="tracker_angle_error", statistic=244.0, distinguishable=True),
         ),
-        correlated_with=Correlation(parameter="theta2", correlation=0.7283),
         posterior=0.874,
         law_misfit=0.183,
         meaning=EffectMeaning(
@@ -111,7 +105,7 @@ def ambiguous_compliance() -> AcceptedEffect:
     )
 
 
-def data_driven_term(formula: str = "c |sin(q2)|", gain: float | None = 12.3) -> AcceptedEffect:
+def data_driven_term(formula: str = "c |sin(q2)|") -> AcceptedEffect:
     """A term without a name."""
     return AcceptedEffect(
         effect="unknown",
@@ -120,16 +114,12 @@ def data_driven_term(formula: str = "c |sin(q2)|", gain: float | None = 12.3) ->
         where=Place(joints=(5,), acts_on=("joint 5",), channel="joint 5", variables=("q2",)),
         parameters={"joint_5.cos1_q2": Estimate(value=1e-4, standard_error=1e-6, unit="rad")},
         evidence=EVIDENCE,
-        answer_set=("unknown",),
         runners_up=(),
-        correlated_with=None,
         description=TermDescription(
             channel="joint 5",
             variables=("q2",),
             size_um=22.4,
             formula=formula,
-            gain_over_curve=gain,
-            curve=((0.0, 0.0), (1.0, 1e-4)),
             sentence="joint 5 depends on q2, about c |sin(q2)|; 22 µm rms at the SMR",
         ),
     )
@@ -151,14 +141,6 @@ def unknown_effect(name: str) -> ArmDiscoveryResult:
         accepted=(free_curve(), ambiguous_compliance(), data_driven_term()),
         noise_mm=Noise(rms=0.0223, source="stated"),
         candidates={"joint_compliance": 0.874, "link_bending": 0.126, "backlash": 0.003, "transmission_error": 1.0},
-        contradictions=(
-            Contradiction(
-                effect="backlash",
-                joints=(1, 2),
-                size_um=31.4,
-                sentence="behaves like backlash, but of the opposite sign: check the approach convention",
-            ),
-        ),
         structure=RemainingStructure(
             tests=(StructureTest(against="joints", p_value=0.41), StructureTest(against="time", p_value=0.0005)),
             sentence="the residuals still depend on time (p below 0.001)",
@@ -181,7 +163,6 @@ def unknown_effect(name: str) -> ArmDiscoveryResult:
                 smallest_seen_rms_mm=0.0047,
             ),
         ),
-        network_mm=BeforeAfter(before=0.3965, after=0.0),
         uncertainty_mm=PredictedUncertainty(median=0.0937, largest=0.374),
         pictures=(
             picture("transmission_error", 1, curve=True),
@@ -227,8 +208,6 @@ def calibration(*arms: str) -> CalibrateResult:
         parameter_set="auto",
         merged={},
         iterations=4,
-        converged=True,
-        message="",
         condition=None,
         scatter=Scatter(value=1.0, meaning=""),
         degrees_of_freedom=100,

@@ -91,11 +91,6 @@ def pushed_but_not_measured(run: RunFile) -> None:
     append_stage(run, VERIFY, VerifyResult(arms={}, targets=()), basis_of(run))
 
 
-def not_converged(run: RunFile) -> None:
-    lost = with_arm(calibration_of(run), "only", converged=False, message="gave up after 50 iterations")
-    store_calibration(run, lost)
-
-
 def without_uncertainty(run: RunFile) -> None:
     store_calibration(run, with_arm(calibration_of(run), "only", tracker_mm=None))
 
@@ -121,7 +116,7 @@ def of_another_version(run: RunFile) -> None:
 
 
 PAGES: dict[Callable[[RunFile], None], str] = {
-    **dict.fromkeys((as_made, pushed_but_not_measured, not_converged, without_uncertainty), "single"),
+    **dict.fromkeys((as_made, pushed_but_not_measured, without_uncertainty), "single"),
     **dict.fromkeys((of_another_version,), "single"),
     **dict.fromkeys((everything, nothing_found, found_again, measured_again), "pair"),
 }
@@ -138,6 +133,12 @@ def test_a_page_says_what_was_approved(
     assert page.faults == []
     text = re.sub(r"(?s)\{\"(kind|arms|series)\".*?\n", "", page.text.replace(str(tmp_path), "FOLDER"))
     assert_approved(APPROVED / f"page-{change.__name__.replace('_', '-')}.txt", text, without_digits)
+
+
+def test_a_calibration_that_did_not_converge_is_none(single: RunFile) -> None:
+    text = calibration_of(single).to_json().replace('"converged":true', '"converged":false')
+    with pytest.raises(InputError, match=r"calibrate: arms\.only\.converged: .* repeat that step"):
+        CalibrateResult.from_json(text, "calibrate")
 
 
 def test_it_needs_nothing_else_and_names_are_only_text(whole_page: Page, whole_text: str) -> None:

@@ -31,7 +31,6 @@ from cellapp.ground.errors import tried
 from cellapp.ground.progress import JobToken
 from cellapp.ground.threads import give_back
 from cellapp.robot.effects import EFFECTS, Law
-from cellapp.robot.effects.effect import is_contradiction
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
 
@@ -211,11 +210,6 @@ class SearchResult:
     def with_fit(self, data: ArmData, fit: JointFit, reviews: tuple[Review, ...]) -> SearchResult:
         """Return this result with another fit of the final model."""
         return replace(self, data=data, fit=fit, reviews=reviews, posteriors=None)
-
-    @property
-    def contradictions(self) -> tuple[str, ...]:
-        """Descriptions of the terms by which a law of the library fits, but only with impossible values."""
-        return tuple(term.note for term in self.fit.terms if is_contradiction(term.law))
 
 
 # -- Comparison of fitted models: remaining scatter against the noise floor, and the Bayesian information criterion ---
