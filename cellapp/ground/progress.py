@@ -237,12 +237,8 @@ class SweepLive:
     state : str
         ``searching``: the beam broke; the arm rests, and the tracker is led to its SMR again. ``unrecorded``: it was
         not found; the arm finishes its way off the record.
-    points, points_missing, samples, samples_missing : int
-        Points of the tracker and samples of the controller that have come, and that did not by their own clocks.
     lost_beams : int
         How often the beam broke.
-    distance_m, point_age_s : float or None
-        Distance of the newest point from the tracker [m], and how long ago it came [s]; None before the first point.
     """
 
     stop: int
@@ -251,30 +247,15 @@ class SweepLive:
     duration_s: float
     state: Literal["moving", "searching", "unrecorded", "done"] = "moving"
     done_s: float = 0.0
-    points: int = 0
-    points_missing: int = 0
-    samples: int = 0
-    samples_missing: int = 0
     lost_beams: int = 0
-    distance_m: float | None = None
-    point_age_s: float | None = None
 
     def words(self) -> list[str]:
-        """Return share and time, lost beams, the newest point, and what came; what is needed first comes first."""
+        """Return share and time, and lost beams."""
         share = self.done_s / self.duration_s if self.duration_s else 1.0
-        age = "" if self.point_age_s is None else f", {self.point_age_s:.1f} s ago"
         words = [f"{share:.0%}, {self.done_s:.0f} of {self.duration_s:.0f} s"]
         if self.lost_beams:
             since = {"searching": ", the SMR is searched", "unrecorded": ", the rest is not recorded"}
             words.append(counted(self.lost_beams, "lost beam") + since.get(self.state, ""))
-        if self.distance_m is not None:
-            words.append(f"SMR {self.distance_m:.3f} m{age}")
-        for count, what, missing in (
-            (self.points, "point", self.points_missing),
-            (self.samples, "sample", self.samples_missing),
-        ):
-            if self.points:
-                words.append(counted(count, what) + (f" ({missing} missing)" if missing else ""))
         return words
 
 

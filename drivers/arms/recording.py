@@ -40,20 +40,12 @@ class JointRecord:
         return int(np.maximum(np.rint(np.diff(self.time_s) / self.period_s) - 1.0, 0.0).sum())
 
 
-def counts_so_far(count: int, began_s: float, latest_s: float, period_s: float) -> tuple[int, int]:
-    """Return the numbers of samples (or points) received and lost, given the first and the newest timestamp [s]."""
-    return count, max(round((latest_s - began_s) / period_s) + 1 - count, 0)
-
-
 @runtime_checkable
 class RecordingArm(Protocol):
     """Additional interface of an arm whose driver records every sample of its controller."""
 
     def start_recording(self) -> None:
         """Start recording over a separate connection; return after the first sample. Raises ``LinkLost``."""
-
-    def recorded(self) -> tuple[int, int]:
-        """Return the numbers of received and lost samples of the running recording; never block."""
 
     def end_recording(self) -> JointRecord:
         """End the recording after one more sample; return all. Raises ``LinkLost`` if the connection ended before."""

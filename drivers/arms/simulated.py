@@ -239,10 +239,6 @@ class SimulatedArm:
         record.append((self._plant.clock_s, self._plant.q(self._name), self._plant.speeds(self._name)))
         self._plant.schedule.at(began_s + (number + 1) * CYCLE_S, lambda: self._keep(record, began_s, number + 1))
 
-    def recorded(self) -> tuple[int, int]:
-        """Return how many samples there are; none is missing."""
-        return len(self._record or ()), 0
-
     def end_recording(self) -> JointRecord:
         """Return all samples."""
         self._link()

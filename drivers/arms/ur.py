@@ -35,7 +35,7 @@ from drivers.arms.protocol import (
     WrongRobot,
     stale,
 )
-from drivers.arms.recording import JointRecord, counts_so_far
+from drivers.arms.recording import JointRecord
 from drivers.arms.ur_checks import JOINTS, Check, UrExpectation, checks, held_by, load_checks
 from drivers.arms.ur_control import Refusal
 from drivers.arms.ur_links import RTDE_PORT, Connection, cause, program_name, running_program
@@ -321,11 +321,6 @@ class UrArm(SupervisedLink):
         self._end_recorder()
         self._recorder = UrRecorder(self._name, self._host, self.path_period_s)
 
-    def recorded(self) -> tuple[int, int]:
-        """Return the numbers of received and lost samples."""
-        recorder = self._recorder
-        return (0, 0) if recorder is None else recorder.so_far()
-
     def end_recording(self) -> JointRecord:
         """Return all samples. Raises ``LinkLost`` if the connection ended before."""
         recorder, self._recorder = self._recorder, None
@@ -517,12 +512,6 @@ class UrRecorder:
             self.close()
             why = "no state came" if self._problem is None else cause(self._problem)
             raise LinkLost(f"arm {name}: its joints are not recorded: {why}")
-
-    def so_far(self) -> tuple[int, int]:
-        """Return the numbers of received and lost states; from any thread."""
-        count = len(self._states)
-        first_s, latest_s = (self._states[row]["timestamp"][0] for row in (0, count - 1))
-        return counts_so_far(count, first_s, latest_s, self._period_s)
 
     def end(self) -> JointRecord:
         """Close the connection after one more sample; return all. Raises ``LinkLost`` if it ended before."""

@@ -162,7 +162,6 @@ def every_sample_is_recorded(emulator: EmulatorProcess, arm: UrArm) -> None:
     path = smooth_path(arm.path_period_s, 1.6)
     arm.start_path(path, arm.path_period_s)
     arm.wait_settled(PATIENT_S)
-    so_far, missing = arm.recorded()
     record = arm.end_recording()
     assert record.period_s == arm.path_period_s
     steps = np.diff(record.time_s)
@@ -177,9 +176,7 @@ def every_sample_is_recorded(emulator: EmulatorProcess, arm: UrArm) -> None:
     )
     np.testing.assert_allclose(np.abs(record.q - HOME).max(axis=0), np.abs(path - HOME).max(axis=0), rtol=0.1)
     assert np.abs(record.qd).max() > 0.1
-    assert 100 < so_far <= len(record.time_s)
-    assert missing <= record.missing
-    assert arm.recorded() == (0, 0)
+    assert len(record.time_s) > 100
     with pytest.raises(LinkLost, match="not being recorded"):
         arm.end_recording()
 
