@@ -88,9 +88,7 @@ _CELL_SCALE_M = 100.0
 def _at_most(limit_m: float) -> AfterValidator:
     def check(value: float) -> float:
         if abs(value) > limit_m:
-            raise ValueError(
-                f"{value:g} m is beyond {limit_m:g} m; a plain number is metres, write '{value:g} mm' for mm"
-            )
+            raise ValueError(f"{value:g} m is beyond {limit_m:g} m; is it '{value:g} mm'?")
         return value
 
     return AfterValidator(check)
@@ -98,9 +96,7 @@ def _at_most(limit_m: float) -> AfterValidator:
 
 def _within_two_turns(value: float) -> float:
     if abs(value) > 4.0 * math.pi:
-        raise ValueError(
-            f"{value:g} rad is more than two turns; a plain number is radians, write '{value:g} deg' for degrees"
-        )
+        raise ValueError(f"{value:g} rad is more than two turns; is it '{value:g} deg'?")
     return value
 
 

@@ -237,12 +237,8 @@ class SweepLive:
     state : str
         ``searching``: the beam broke; the arm rests, and the tracker is led to its SMR again. ``unrecorded``: it was
         not found; the arm finishes its way off the record.
-    points : int
-        Points of the tracker that have come.
     lost_beams : int
         How often the beam broke.
-    distance_m, point_age_s : float or None
-        Distance of the newest point from the tracker [m], and how long ago it came [s]; None before the first point.
     """
 
     stop: int
@@ -251,22 +247,16 @@ class SweepLive:
     duration_s: float
     state: Literal["moving", "searching", "unrecorded", "done"] = "moving"
     done_s: float = 0.0
-    points: int = 0
     lost_beams: int = 0
-    distance_m: float | None = None
-    point_age_s: float | None = None
 
     def words(self) -> list[str]:
-        """Return share and time, lost beams, the newest point, and what came; what is needed first comes first."""
+        """Return share and time, and lost beams."""
         share = self.done_s / self.duration_s if self.duration_s else 1.0
-        age = "" if self.point_age_s is None else f", {self.point_age_s:.1f} s ago"
         words = [f"{share:.0%}, {self.done_s:.0f} of {self.duration_s:.0f} s"]
         if self.lost_beams:
             since = {"searching": ", the SMR is searched", "unrecorded": ", the rest is not recorded"}
             words.append(counted(self.lost_beams, "lost beam") + since.get(self.state, ""))
-        if self.distance_m is not None:
-            words.append(f"SMR {self.distance_m:.3f} m{age}")
-        return [*words, counted(self.points, "point")] if self.points else words
+        return words
 
 
 @dataclass(frozen=True)

@@ -39,7 +39,7 @@ from drivers.trackers.protocol import Halted, NotReady, Point, TargetLost, Track
 
 
 def sweep_sentence(live: SweepLive) -> str:
-    """Return the progress of a sweep as a sentence: "stop 3: sweep of left 62%, 10 of 16 s, SMR 3.412 m"."""
+    """Return the progress of a sweep as a sentence: "stop 3: sweep of left 62%, 10 of 16 s"."""
     return f"stop {live.stop + 1}: sweep of {live.arm} {', '.join(live.words())}"
 
 

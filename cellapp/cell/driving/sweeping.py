@@ -13,8 +13,6 @@ Recording begins before the motion and ends after it, at rest; each device has t
 breaks, the arm slows down along its path and rests; the tracker is pointed at the SMR again, and the arm continues from
 there: that is a separate recording.
 
-Progress of a sweep for observers: incoming data are counted, and reported from the job's own thread.
-
 Handle breaks of the beam to a moving SMR: the arm slows down along its path; at rest the SMR is found again.
 
 Drive a path of one arm while the tracker follows its SMR; drive it again if the beam broke.
@@ -22,12 +20,11 @@ Drive a path of one arm while the tracker follows its SMR; drive it again if the
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -66,94 +63,40 @@ from drivers.trackers.protocol import (
 
 
 @dataclass
-class _Part:
-    """A motion from its start: its times ``s_s`` (m,) [s], one per ``period_s`` [s], by the clock; usually recorded."""
-
-    clock: Clock
-    s_s: Array
-    period_s: float
-    recorded: bool
-    began_s: float | None = None
-
-    def reached_s(self) -> float:
-        """Return the time in the motion that is being sent now [s]."""
-        now_s = self.clock.now_s()
-        if self.began_s is None:
-            self.began_s = now_s
-        return float(np.interp((now_s - self.began_s) / self.period_s, np.arange(len(self.s_s)), self.s_s))
-
-
-@dataclass
 class LiveSweep:
-    """Progress of one sweep. ``received`` may be called from any thread, all else only from the job's thread.
-
-    ``so_far`` is the last report; ``tell`` receives each report.
-    """
+    """Progress of one sweep for those who look on: ``so_far`` is the last report, ``tell`` receives each."""
 
     so_far: SweepLive
     tell: Callable[[SweepLive], None]
-    _packets: deque[Track] = field(default_factory=deque)
-    _part: _Part | None = None
-    _ended: int = 0
-    """Points of the parts that have ended."""
-    _arrived_s: float | None = None
 
-    def received(self, packet: Track) -> None:
-        """Queue a packet for the job's thread."""
-        self._packets.append(packet)
+    def looking(
+        self, clock: Clock, s_s: Array, period_s: float, state: Literal["moving", "unrecorded"] = "moving"
+    ) -> Callable[[], None]:
+        """Return what reports a part of the motion, which begins with its first call.
 
-    def begin(self, clock: Clock, s_s: Array, period_s: float, *, recorded: bool = True) -> None:
-        """Begin a part with the motion's times ``s_s`` (m,) [s], one per ``period_s`` [s]; usually recorded."""
-        self._part = _Part(clock, s_s, period_s, recorded)
+        ``s_s`` (m,) are times of the motion [s], one per ``period_s`` [s].
+        """
+        began_s: list[float] = []
 
-    def look(self) -> None:
-        """Report the progress of the current part."""
-        part = self._part
-        assert part is not None
-        if not part.recorded:
-            self._say(state="unrecorded", done_s=part.reached_s())
-            return
-        self._take()
-        age_s = None if self._arrived_s is None else max(part.clock.now_s() - self._arrived_s, 0.0)
-        self._say(state="moving", done_s=part.reached_s(), point_age_s=age_s)
+        def look() -> None:
+            now_s = clock.now_s()
+            began_s.append(now_s)
+            done_s = np.interp((now_s - began_s[0]) / period_s, np.arange(len(s_s)), s_s)
+            self._say(replace(self.so_far, state=state, done_s=float(done_s)))
 
-    def calculated(self, record: SweepRecord) -> None:
-        """Report a sweep that was computed as a whole; points without the beam are NaN."""
-        seen = np.isfinite(record.p_M[:, 0])
-        self._follow(record.p_M[seen])
-        self.so_far = replace(self.so_far, lost_beams=int(np.sum(np.diff(seen.astype(int)) < 0)))
-        self.end(int(seen.sum()))
+        return look
 
-    def end(self, points: int = 0, reached_s: float | None = None) -> None:
-        """End a part at ``reached_s`` of the motion, where the beam broke, or at the end of the motion if None."""
-        self._take()
-        self._ended += points
-        broken = reached_s is not None
-        self._say(
-            points=self._ended,
-            state="searching" if broken else "done",
-            done_s=self.so_far.duration_s if reached_s is None else reached_s,
-            lost_beams=self.so_far.lost_beams + broken,
-            point_age_s=None,
-        )
+    def ended(self, reached_s: float | None = None) -> None:
+        """Report a part that ended at ``reached_s`` of the motion, where the beam broke, or at its end if None."""
+        if reached_s is None:
+            self._say(replace(self.so_far, state="done", done_s=self.so_far.duration_s))
+        else:
+            lost_beams = self.so_far.lost_beams + 1
+            self._say(replace(self.so_far, state="searching", done_s=reached_s, lost_beams=lost_beams))
 
-    def _take(self) -> None:
-        """Process the packets received since the last look."""
-        while self._packets:
-            packet = self._packets.popleft()
-            if len(packet.p_M):
-                self._arrived_s = float(packet.arrived_s[-1])
-                self._follow(packet.p_M)
-
-    def _follow(self, p_M: Array) -> None:
-        """Count points (n, 3) [m], and note how far the newest is."""
-        distance_m = float(np.linalg.norm(p_M[-1]))
-        self.so_far = replace(self.so_far, points=self.so_far.points + len(p_M), distance_m=distance_m)
-
-    def _say(self, **changes: Any) -> None:
-        """Report the progress of the sweep."""
-        self.so_far = replace(self.so_far, **changes)
-        self.tell(self.so_far)
+    def _say(self, now: SweepLive) -> None:
+        self.so_far = now
+        self.tell(now)
 
 
 _TRIES = 3
@@ -310,9 +253,8 @@ class SweepDriver:
             note(f"arm {name}: the beam broke {from_s[name]:.1f} s after its sweep began; it goes on from there")
         legs = self._legs(motions, from_s)
         own = legs[name]
-        live.begin(self.cell.clock, own.s_s, own.arm.path_period_s, recorded=False)
-        self._follow(legs, live.look)
-        live.end()
+        self._follow(legs, live.looking(self.cell.clock, own.s_s, own.arm.path_period_s, "unrecorded"))
+        live.ended()
 
     def _legs(self, motions: Mapping[str, Sweep], from_s: Mapping[str, float]) -> dict[str, _Leg]:
         found = {}
@@ -337,11 +279,6 @@ class SweepDriver:
         own, arms = legs[name], {one: leg.arm for one, leg in legs.items()}
         assert streaming is not None
         beam, recorded = Beam([*arms.values()], self.reaction), dict[str, RecordingArm]()
-
-        def received(packet: Track) -> None:
-            beam.received(packet)
-            live.received(packet)
-
         one = name
         try:
             for one, arm in arms.items():
@@ -349,11 +286,10 @@ class SweepDriver:
                 recorded[one] = arm
             later_s = self._later_s(arms)
             expected_M = predicted_smr(self.bodies, name, own.q[:1])[0]
-            streaming.start_track(expected_M, self.interval_s, beam.lost, received)
+            streaming.start_track(expected_M, self.interval_s, beam.lost, beam.received)
             self._rest()
             self._require_own(name, beam, expected_M)
-            live.begin(self.cell.clock, own.s_s, own.arm.path_period_s)
-            reached = self._follow(legs, live.look)
+            reached = self._follow(legs, live.looking(self.cell.clock, own.s_s, own.arm.path_period_s))
             self._rest()
             records = {}
             for one in [*recorded]:
@@ -365,7 +301,7 @@ class SweepDriver:
         except BaseException:
             self._give_up(recorded.values(), streaming)
             raise
-        live.end(len(track.p_M), reached[name])
+        live.ended(reached[name])
         stamps_s = records[name].time_s
         beside = [rows_at(stamps_s, its.time_s + later_s[one], its.q) for one, its in records.items() if one != name]
         return SweepPart(records[name], track, reached[name], *beside), reached
@@ -501,7 +437,7 @@ class Sweeps:
             beside = self._beside(sweep, at, len(found.q), next(iter(found.beside_q.values()), None))
             key = (sweep.arm, sweep.name)
             store_recording(self._run, calculated_streams(self._run.profile, key, found, beside, self._session))
-            live.calculated(found)
+            live.ended()
             return True
         stored = 0
         for part in self._driver.drive(motions, self._note, live):

@@ -33,13 +33,15 @@ from cellapp.ground.profile.schema import VERSION, ArmType, Profile
 from cellapp.ground.removed import without_removed_keys
 from cellapp.ground.results import plain_data
 from cellapp.ground.starters import TWIN, starters_folder
+from drivers.settings import Section
 
 S = TypeVar("S", bound=BaseModel)
 
 _MOST_LEVELS = 50
 """Limit of nesting: a profile has about eight levels; an alias that contains itself gives more."""
-_MOST_VALUES = 100_000
-"""Limit of values: a profile has some hundreds; aliases of aliases multiply to more."""
+_MOST_VALUES = 300_000
+"""Limit of values: a profile has some hundreds, a long list of targets a hundred thousand; aliases of aliases multiply
+to more."""
 _LARGEST_INT = 2**63
 """Limit of integers: larger ones fit neither numpy nor SQLite."""
 _SURROGATES = frozenset(map(chr, range(0xD800, 0xE000)))
@@ -130,18 +132,24 @@ def profile_from_dict(content: Mapping[str, Any], folder: Path = Path()) -> Prof
     InputError
         As ``load_profile``, with the key.
     """
-    document = YamlDocument(plain_data(content))
-    _enter_places(document, (), document.data)
+    document = document_in_memory(plain_data(content), "profile")
     _check_version(document)
     return checked_profile(document, (folder,))
 
 
-def _enter_places(document: YamlDocument, at: KeyPath, value: Any) -> None:
-    """Enter the place of a value, and of all values below it, for a profile that is not a file."""
-    document.places[at] = Spot("profile", 0, at)
+def document_in_memory(data: Any, name: str) -> YamlDocument:
+    """Return plain data that are not a file as a document; ``name`` stands for the file in messages."""
+    document = YamlDocument(data)
+    _enter_places(document, (), data, name)
+    return document
+
+
+def _enter_places(document: YamlDocument, at: KeyPath, value: Any, name: str) -> None:
+    """Enter the place of a value, and of all values below it."""
+    document.places[at] = Spot(name, 0, at)
     inside = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
     for key, part in inside:
-        _enter_places(document, (*at, key), part)
+        _enter_places(document, (*at, key), part, name)
 
 
 def checked_profile(document: YamlDocument, folders: Sequence[Path]) -> Profile:
@@ -154,7 +162,7 @@ def checked_profile(document: YamlDocument, folders: Sequence[Path]) -> Profile:
     """
     _read_arm_types(document, folders)
     _locate_meshes(document, folders)
-    profile = _validated(Profile, document)
+    profile = validated(Profile, document)
     _require_own_factories(profile, document.places)
     return profile
 
@@ -182,7 +190,7 @@ def with_sections(profile: Profile, path: Path, names: Sequence[str]) -> Profile
             raise PlacedError(place, f"unknown section; expected {' or '.join(repr(one) for one in names)}")
     stored = json.loads(profile_to_json(profile))
     document.data = stored | {name: _completed(stored.get(name), part) for name, part in document.data.items()}
-    return _validated(Profile, document)
+    return validated(Profile, document)
 
 
 def _completed(stored: Any, given: Any) -> Any:
@@ -198,6 +206,14 @@ def _completed(stored: Any, given: Any) -> Any:
 def load_text(path: Path) -> YamlDocument:
     """Return the plain data of a profile's file, as ``read_document``. Raises ``InputError``."""
     return read_document(_read_text(path), path)
+
+
+def read_yaml(path: Path, schema: type[Section], needed: str) -> YamlDocument:
+    """Return the plain data of a file other than a profile; ``needed`` says what to give where there is none.
+
+    Raise ``InputError``.
+    """
+    return replace(_parse_yaml(file_text(path, needed), path), schema=schema)
 
 
 def read_document(text: str, path: Path) -> YamlDocument:
@@ -259,10 +275,11 @@ def _with_text(document: YamlDocument, section: str, key: str) -> Iterator[tuple
 
 def arm_type_of_text(text: str, path: Path) -> ArmType:
     """Parse the text of an arm type whose file is ``path``. Raise ``InputError`` with file and line."""
-    return _validated(ArmType, replace(_parse_yaml(text, path), schema=ArmType))
+    return validated(ArmType, replace(_parse_yaml(text, path), schema=ArmType))
 
 
-def _validated(schema: type[S], document: YamlDocument) -> S:
+def validated(schema: type[S], document: YamlDocument) -> S:
+    """Return a document as its type. Raise ``InputError`` with file, line and key of the first wrong values."""
     try:
         return schema.model_validate(document.data)
     except ValidationError as error:
@@ -395,10 +412,21 @@ def _first_file(folders: Sequence[Path], name: str) -> Path | None:
 def _composed(text: str) -> tuple[yaml.Node | None, _Loader | _FastLoader]:
     """Parse the document to nodes with their lines; return also the loader. Python's own loader reports errors."""
     with contextlib.suppress(yaml.YAMLError):
+        _require_few_levels(text)
         fast = _FastLoader(text)
         return fast.get_single_node(), fast
     loader = _Loader(text)
     return loader.get_single_node(), loader
+
+
+def _require_few_levels(text: str) -> None:
+    """Raise ``RecursionError`` for too deep nesting: libyaml recurses in C, which would end the process."""
+    loader, level = _FastLoader(text), 0
+    while loader.check_event():
+        event = loader.get_event()
+        level += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+        if level > _MOST_LEVELS:
+            raise RecursionError
 
 
 def _parse_yaml(text: str, path: Path) -> YamlDocument:
@@ -421,7 +449,7 @@ def _parse_yaml(text: str, path: Path) -> YamlDocument:
         line = f":{text.count(chr(10), 0, position) + 1}" if position is not None else ""
         raise InputError(f"{path}{line}: not YAML: {getattr(error, 'reason', error)}; remove that character") from None
     except RecursionError:
-        raise InputError(f"{path}: nested too deeply; a profile has a handful of levels") from None
+        raise InputError(f"{path}: nested too deeply; a file has a handful of levels") from None
 
 
 def _read_text(path: Path) -> str:
@@ -435,9 +463,9 @@ def _plain_data(
 ) -> Any:
     """Return a node as dict, list, text, number, bool or None; enter its place and those below it into ``places``."""
     if len(at) > _MOST_LEVELS:
-        raise InputError(f"{place}: nested too deeply; a profile has a handful of levels")
+        raise InputError(f"{place}: nested too deeply; a file has a handful of levels")
     if len(places) > _MOST_VALUES:
-        raise InputError(f"{place.file}: more than {_MOST_VALUES} values; a profile has some hundreds")
+        raise InputError(f"{place.file}: more than {_MOST_VALUES} values; no file needs them")
     places[at] = place
     if isinstance(node, yaml.MappingNode):
         return _mapping(node, at, place, places, loader)
@@ -474,7 +502,7 @@ def _scalar(node: yaml.Node, place: Spot, loader: _Loader | _FastLoader) -> str 
     if kind == "timestamp":
         return str(node.value)
     if kind not in ("str", "int", "float", "bool", "null"):
-        raise InputError(f"{place}: '{node.tag}' is not used in profiles; write a number, a text or true/false")
+        raise InputError(f"{place}: '{node.tag}' is not used here; write a number, a text or true/false")
     try:
         value: str | int | float | bool | None = loader.construct_object(node)
     except (ValueError, KeyError):

@@ -205,7 +205,9 @@ def _located_message(details: ErrorDetails, document: YamlDocument) -> tuple[Key
 
 
 def _missing(location: Sequence[Key], at: KeyPath, rest: Sequence[Key], document: YamlDocument) -> str:
-    last = rest[-1] if rest else None
+    if not rest:  # an empty cell of a table
+        return _MISSING.removeprefix(": ")
+    last = rest[-1]
     if isinstance(last, int):
         expected = _tuple_length(location, last + 1, document.schema)
         return f"expected {expected} values, got {described(_value(document.data, at))}"

@@ -14,6 +14,7 @@ Robots, 2025). Its TCP moves with the flange, so that correcting the joint posit
 
 from __future__ import annotations
 
+import ast
 import gzip
 import re
 import zlib
@@ -30,18 +31,15 @@ from cellapp.cell.profile.loader import own_arm_types
 from cellapp.cell.programs.records import ArmPlace, ProgramTarget, ReadProgram, Six, UnchangedMotion
 from cellapp.cell.programs.urscript import (
     SIX,
-    Call,
     Constants,
-    Expression,
-    Items,
-    Name,
-    Operation,
     ParsedProgram,
-    ScriptNumber,
     Statement,
     Unresolved,
     Value,
+    argument_of,
     check_chain,
+    function_of,
+    items_of,
     parse_program,
     parts_of,
 )
@@ -66,6 +64,8 @@ _OTHER_TARGETS = {
     "mc_add_circular": "motions of this module are not read",
     "mc_add_path": "motions of this module are not read",
 }
+_NUMBERS = (ast.Constant, ast.UnaryOp, ast.BinOp, ast.Call)
+"""Parts of a number such as ``-0.3`` or ``d2r(90)``."""
 _NO_TARGETS = ("speedj", "speedl", "force_mode", "freedrive_mode", "teach_mode")
 _NO_TCP = "the TCP is not known: the program has no set_tcp; give --tcp"
 _OPEN_TCP = "the TCP is not known: set_tcp has several values, and the program's course decides which holds here"
@@ -76,8 +76,8 @@ class _Goal:
     """Resolved target: its value, the expression that holds it, and the variables through which it was reached."""
 
     value: Value
-    stands: Expression
-    use: Expression
+    stands: ast.expr
+    use: ast.expr
     variables: tuple[str, ...] = ()
     near: Six | None = None
     tcp: Six | None = None
@@ -129,7 +129,7 @@ class _TargetReader:
             (statement, call)
             for statement in program.statements
             for call in _calls(statement)
-            if call.function == "set_tcp"
+            if function_of(call) == "set_tcp"
         ]
         self._given = tcp
         if tcp is not None and self._tcps:
@@ -149,31 +149,31 @@ class _TargetReader:
 
         A call of it is a motion to what it is given; ``_moves`` has the motion inside.
         """
-        called = {call.function for statement in self._program.statements for call in _calls(statement)}
+        called = {function_of(call) for statement in self._program.statements for call in _calls(statement)}
         for function, parameters in self._program.parameters.items():
             if function in self._motions or function not in called or "" in parameters:
                 continue
             inside = [one for one in self._program.statements if function in one.path]
             for place, name in enumerate(parameters):
                 moves = [
-                    self._moves.get(call.function, one)
+                    self._moves.get(function_of(call), one)
                     for one in inside
                     for call in _calls(one)
                     for argument in self._arguments(call)
-                    if isinstance(argument, Name) and argument.name == name and call.function != "movec"
+                    if isinstance(argument, ast.Name) and argument.id == name and function_of(call) != "movec"
                 ]
                 if moves and len(moves) == sum(word.text == name for one in inside for word in one.tokens):
                     self._motions[function], self._moves[function] = ((place, name),), moves[0]
                     return True
         return False
 
-    def _arguments(self, call: Call) -> list[Expression | None]:
-        return [call.argument(index, name) for index, name in self._motions.get(call.function, ())]
+    def _arguments(self, call: ast.Call) -> list[ast.expr | None]:
+        return [argument_of(call, index, name) for index, name in self._motions.get(function_of(call), ())]
 
-    def _is_wrapped(self, statement: Statement, call: Call) -> bool:
+    def _is_wrapped(self, statement: Statement, call: ast.Call) -> bool:
         """Return whether a motion goes to the parameter of its function: then the calls of that are the motions."""
         own = self._motions.get(statement.function, ())
-        return any(isinstance(one, Name) and own and one.name == own[0][1] for one in self._arguments(call))
+        return any(isinstance(one, ast.Name) and own and one.id == own[0][1] for one in self._arguments(call))
 
     def motions(self) -> tuple[list[ProgramTarget], list[UnchangedMotion]]:
         """Return all motions, in the order of the text."""
@@ -183,28 +183,29 @@ class _TargetReader:
             if statement.expression is None:
                 left += _unreadable(statement)
             for call in _calls(statement):
-                if call.function in _OTHER_TARGETS:
-                    left.append(UnchangedMotion(statement.line, call.function, _OTHER_TARGETS[call.function]))
-                elif call.function in _NO_TARGETS:
-                    left.append(UnchangedMotion(statement.line, call.function, "it has no target", refused=False))
-                elif call.function in self._motions and not self._is_wrapped(statement, call):
+                function = function_of(call)
+                if function in _OTHER_TARGETS:
+                    left.append(UnchangedMotion(statement.line, function, _OTHER_TARGETS[function]))
+                elif function in _NO_TARGETS:
+                    left.append(UnchangedMotion(statement.line, function, "it has no target", refused=False))
+                elif function in self._motions and not self._is_wrapped(statement, call):
                     try:
                         targets += self._targets(statement, call)
                     except Unresolved as reason:
-                        left.append(UnchangedMotion(statement.line, call.function, str(reason)))
+                        left.append(UnchangedMotion(statement.line, function, str(reason)))
         return targets, left
 
-    def _targets(self, statement: Statement, call: Call) -> list[ProgramTarget]:
+    def _targets(self, statement: Statement, call: ast.Call) -> list[ProgramTarget]:
         found: list[ProgramTarget] = []
         goals: list[_Goal] = []
-        for index, name in self._motions[call.function]:
-            argument = call.argument(index, name)
+        for index, name in self._motions[function_of(call)]:
+            argument = argument_of(call, index, name)
             if argument is None:
                 raise Unresolved(f"its argument '{name}' is missing")
             goal = self._goal(argument, statement.path)
             goals.append(goal)
-            found.append(self._target(statement, call.function, goal))
-        if call.function == "movec" and found[0].kind == found[1].kind == "pose":
+            found.append(self._target(statement, function_of(call), goal))
+        if function_of(call) == "movec" and found[0].kind == found[1].kind == "pose":
             found[0] = replace(found[0], position_only=True, facing=found[1].numbers)
         self._goals += goals
         return found
@@ -225,33 +226,33 @@ class _TargetReader:
             as_joints=goal.solved and bool(goal.variables) and goal.use is not goal.stands,
         )
 
-    def _goal(self, expression: Expression, path: tuple[str, ...], within: tuple[str, ...] = ()) -> _Goal:
+    def _goal(self, expression: ast.expr, path: tuple[str, ...], within: tuple[str, ...] = ()) -> _Goal:
         """Resolve an expression as a target; ``within`` are the variables whose definitions led to it."""
-        if isinstance(expression, Name):
-            check_chain(expression.name, within)
-            inner = self._goal(*self._constants.definition(expression.name, path), (*within, expression.name))
-            return replace(inner, use=expression, variables=(expression.name, *inner.variables))
-        if isinstance(expression, Call) and expression.function == "get_inverse_kin":
+        if isinstance(expression, ast.Name):
+            check_chain(expression.id, within)
+            inner = self._goal(*self._constants.definition(expression.id, path), (*within, expression.id))
+            return replace(inner, use=expression, variables=(expression.id, *inner.variables))
+        if isinstance(expression, ast.Call) and function_of(expression) == "get_inverse_kin":
             return self._solved(expression, path, within)
         return _Goal(self._constants.value(expression, path), expression, expression)
 
-    def _solved(self, call: Call, path: tuple[str, ...], within: tuple[str, ...]) -> _Goal:
-        argument = call.argument(0, "x")
+    def _solved(self, call: ast.Call, path: tuple[str, ...], within: tuple[str, ...]) -> _Goal:
+        argument = argument_of(call, 0, "x")
         if argument is None:
             raise Unresolved("get_inverse_kin has no pose")
         inner = self._goal(argument, path, within)
         if not inner.value.pose:
             raise Unresolved("get_inverse_kin is given joint positions instead of a pose")
-        tcp = call.argument(4, "tcp")
+        tcp = argument_of(call, 4, "tcp")
         return replace(
             inner,
-            near=self._near(call.argument(1, "qnear"), path),
+            near=self._near(argument_of(call, 1, "qnear"), path),
             tcp=None if tcp is None else self._pose(tcp, path),
             # at the motion, a variable inside the call is replaced by a pose, but the whole call by joint positions
             solved=bool(within),
         )
 
-    def _near(self, expression: Expression | None, path: tuple[str, ...]) -> Six | None:
+    def _near(self, expression: ast.expr | None, path: tuple[str, ...]) -> Six | None:
         if expression is None:
             return None
         try:
@@ -260,7 +261,7 @@ class _TargetReader:
             return None
         return six(numbers) if len(numbers) == SIX else None
 
-    def _pose(self, expression: Expression, path: tuple[str, ...]) -> Six:
+    def _pose(self, expression: ast.expr, path: tuple[str, ...]) -> Six:
         value = self._constants.value(expression, path)
         if not value.pose or len(value.numbers) != SIX:
             raise Unresolved("the TCP is no pose")
@@ -288,8 +289,8 @@ class _TargetReader:
             raise Unresolved(_OPEN_TCP)
         return above[-1]
 
-    def _set_tcp(self, call: Call, path: tuple[str, ...]) -> Six:
-        argument = call.argument(0, "pose")
+    def _set_tcp(self, call: ast.Call, path: tuple[str, ...]) -> Six:
+        argument = argument_of(call, 0, "pose")
         try:
             if argument is not None:
                 return self._pose(argument, path)
@@ -302,7 +303,7 @@ class _TargetReader:
         masses = set()
         for statement in self._program.statements:
             for call in _calls(statement):
-                if call.function in ("set_payload", "set_target_payload") and (mass := call.argument(0, "m")):
+                if function_of(call) in ("set_payload", "set_target_payload") and (mass := argument_of(call, 0, "m")):
                     try:
                         masses.add(self._constants.value(mass, statement.path).numbers)
                     except Unresolved:
@@ -324,10 +325,10 @@ class _TargetReader:
 # -- inside -----------------------------------------------------------------------------------------------------------
 
 
-def _calls(statement: Statement) -> list[Call]:
+def _calls(statement: Statement) -> list[ast.Call]:
     if statement.expression is None:
         return []
-    return [part for part in parts_of(statement.expression) if isinstance(part, Call)]
+    return [part for part in parts_of(statement.expression) if isinstance(part, ast.Call)]
 
 
 def _has_word(statement: Statement, word: str) -> bool:
@@ -341,17 +342,16 @@ def _unreadable(statement: Statement) -> list[UnchangedMotion]:
     return [UnchangedMotion(statement.line, word, "this line cannot be read") for word in known[:1]]
 
 
-def _place(expression: Expression) -> ArmPlace:
+def _place(expression: ast.expr) -> ArmPlace:
     """Return where the numbers of an expression are in the text, each one's place if it is a list of plain numbers."""
-    if isinstance(expression, Items) and all(_is_number(item) for item in expression.items):
-        return ArmPlace(expression.start, expression.end, tuple((item.start, item.end) for item in expression.items))
-    return ArmPlace(expression.start, expression.end)
+    items = items_of(expression) or []
+    plain = all(isinstance(part, _NUMBERS) for item in items for part in parts_of(item))
+    return ArmPlace(*_span(expression), tuple(map(_span, items)) if plain else ())
 
 
-def _is_number(expression: Expression) -> bool:
-    """Return whether an expression consists of numbers only, as ``-0.3`` or ``d2r(90)``."""
-    inner = list(parts_of(expression))
-    return all(isinstance(part, ScriptNumber | Operation | Call) for part in inner)
+def _span(expression: ast.expr) -> tuple[int, int]:
+    assert expression.end_col_offset is not None
+    return expression.col_offset, expression.end_col_offset
 
 
 _LARGEST = 32 * 1024 * 1024

@@ -6,9 +6,9 @@ import ast
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -36,6 +36,15 @@ _OPEN, _CLOSE = "([{", ")]}"
 _DEEPEST = 100
 """Largest depth of nested parts, or of operations in a row; deeper expressions count as unreadable. People do not write
 them, and functions that process expressions are recursive."""
+_WORD_SIGNS = {"and": "and", "or": "or", "xor": "or ", "not": "not"}
+_SIGNS: Mapping[type[ast.AST], str] = {
+    ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Mod: "%", ast.UAdd: "+", ast.USub: "-"
+}  # fmt: skip
+"""Operators that are evaluated."""
+_LOGIC = (ast.BoolOp, ast.Not, ast.And, ast.Or, ast.Compare, ast.Eq, ast.NotEq, ast.Lt, ast.Gt, ast.LtE, ast.GtE)
+_PARTS = (ast.Name, ast.Load, ast.List, ast.Subscript, ast.Tuple, ast.Attribute, ast.Call, ast.keyword)
+_READABLE = (*_PARTS, ast.BinOp, ast.UnaryOp, *_SIGNS, *_LOGIC)
+"""What an expression may consist of."""
 
 TokenKind = Literal["newline", "string", "number", "name", "sign"]
 
@@ -71,70 +80,12 @@ def tokens_of(text: str) -> Iterator[Token]:
         line += kind == "newline"
 
 
-@dataclass(frozen=True, eq=False)
-class Expression:
-    """Part of the text from offset ``start`` up to, but excluding, ``end``; compared by identity."""
-
-    start: int
-    end: int
-
-
-@dataclass(frozen=True, eq=False)
-class ScriptNumber(Expression):
-    """Number."""
-
-    value: float
-
-
-@dataclass(frozen=True, eq=False)
-class Name(Expression):
-    """Variable."""
-
-    name: str
-
-
-@dataclass(frozen=True, eq=False)
-class Items(Expression):
-    """List, or a pose if ``pose``."""
-
-    items: tuple[Expression, ...]
-    pose: bool
-
-
-@dataclass(frozen=True, eq=False)
-class Call(Expression):
-    """Call of a function by name."""
-
-    function: str
-    arguments: tuple[Expression, ...]
-    named: dict[str, Expression] = field(default_factory=dict)
-
-    def argument(self, index: int, name: str) -> Expression | None:
-        """Return the argument at an index or with a name; None if there is none."""
-        return self.arguments[index] if index < len(self.arguments) else self.named.get(name)
-
-
-@dataclass(frozen=True, eq=False)
-class Operation(Expression):
-    """``operands`` joined by an operator; a single operand for a unary operator."""
-
-    sign: str
-    operands: tuple[Expression, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class Other(Expression):
-    """Strings, True and False, elements of lists: nothing that can be a target; ``parts`` are inside it."""
-
-    parts: tuple[Expression, ...] = ()
-
-
 class Unreadable(Exception):
     """The tokens are not an expression that this parser knows."""
 
 
-def parse_expression(tokens: Sequence[Token]) -> Expression:
-    """Parse tokens as one expression. Raise ``Unreadable``.
+def parse_expression(tokens: Sequence[Token]) -> ast.expr:
+    """Parse tokens as one expression, whose columns are offsets in the text of the program. Raise ``Unreadable``.
 
     Expressions of URScript are like those of Python, except for ``xor`` and for the words that may be names. Python's
     own parser reads them, with each word replaced by a name of the same length, so that every part keeps its place.
@@ -148,80 +99,94 @@ def parse_expression(tokens: Sequence[Token]) -> Expression:
             raise Unreadable  # a number followed by a name without a space
         word = "x" * len(token.text) if named else _WORD_SIGNS.get(token.text, token.text)
         line += " " * (token.start - begin - len(line)) + word
+    words = {token.start - begin: token for token in tokens}
     try:
-        parsed = ast.parse(line, mode="eval").body
-        return _Reader({token.start - begin: token for token in tokens}, begin).read(parsed)
+        parsed: ast.expr = _Restored(words, begin).visit(ast.parse(line, mode="eval").body)
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:  # the last two if it is nested too deeply
         raise Unreadable from error
+    return parsed
 
 
-def parts_of(expression: Expression) -> Iterator[Expression]:
-    """Yield the expression and everything inside it, in the order of the text."""
-    yield expression
-    inner: tuple[Expression, ...] = ()
-    match expression:
-        case Items(items=inner) | Operation(operands=inner) | Other(parts=inner):
-            pass
-        case Call():
-            inner = (*expression.arguments, *expression.named.values())
-    for part in inner:
-        yield from parts_of(part)
+class _Restored(ast.NodeTransformer):
+    """Puts the words of a program, by their offset in the line, back into Python's syntax tree.
 
+    Numbers become constants; so do texts, True and False, which can be no target. Columns count from ``begin`` on.
+    """
 
-# -- inside -----------------------------------------------------------------------------------------------------------
+    def __init__(self, words: Mapping[int, Token], begin: int) -> None:
+        self._words, self._begin, self._depth = words, begin, 0
+        self._items: list[ast.expr] = []
 
-_WORD_SIGNS = {"and": "and", "or": "or", "xor": "or ", "not": "not"}
-_SIGNS: Mapping[type[ast.AST], str] = {
-    ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Mod: "%", ast.UAdd: "+", ast.USub: "-",
-    ast.Not: "not", ast.And: "and", ast.Or: "or",
-}  # fmt: skip
-"""Operators by their class in Python's ``ast``; without comparisons, whose values are not used in targets."""
-_COMPARED = (ast.Eq, ast.NotEq, ast.Lt, ast.Gt, ast.LtE, ast.GtE)
-
-
-@dataclass(frozen=True)
-class _Reader:
-    """Converts Python's syntax tree to expressions; ``words`` are tokens by offset in the line, from ``begin``."""
-
-    words: Mapping[int, Token]
-    begin: int
-
-    def read(self, node: ast.expr, depth: int = 0) -> Expression:
-        """Convert a part at nesting depth ``depth``."""
-        if depth > _DEEPEST:
+    def visit(self, node: ast.AST) -> Any:
+        """Restore a part and all parts inside it."""
+        items = isinstance(node, ast.Tuple) and node not in self._items
+        if items or not isinstance(node, _READABLE) or self._depth > _DEEPEST:
             raise Unreadable
-        inner = [one for one in ast.iter_child_nodes(node) if isinstance(one, ast.expr)]
-        if isinstance(node, ast.Subscript) and isinstance(node.slice, ast.Tuple):
-            inner = [node.value, *node.slice.elts]
-        parts = [self.read(one, depth + 1) for one in inner]
-        assert node.end_col_offset is not None
-        start, end = self.begin + node.col_offset, self.begin + node.end_col_offset
-        match node:
-            case ast.Name():
-                word = self.words[node.col_offset]
-                if word.kind == "number":
-                    return ScriptNumber(start, end, float(word.text))
-                is_name = word.kind == "name" and word.text not in ("True", "False")
-                return Name(start, end, word.text) if is_name else Other(start, end)
-            case ast.List():
-                return Items(start, end, tuple(parts), pose=False)
-            case ast.Subscript():
-                whole, items = parts[0], tuple(parts[1:])
-                after = self.words.get(node.value.col_offset + 1)
-                if isinstance(whole, Name) and whole.name == "p" and after is not None and after.text == "[":
-                    return Items(start, end, items, pose=True)
-                return Other(start, end, (whole, Items(whole.end, end, items, pose=False)))
-            case ast.Attribute():
-                return Other(start, end, tuple(parts))
-            case ast.BinOp(op=op) | ast.UnaryOp(op=op) | ast.BoolOp(op=op) if type(op) in _SIGNS:
-                return Operation(start, end, _SIGNS[type(op)], tuple(parts))
-            case ast.Compare(ops=ops) if all(isinstance(one, _COMPARED) for one in ops):
-                return Operation(start, end, "==", tuple(parts))
-            case ast.Call(func=ast.Name(), keywords=keywords) if all(one.arg for one in keywords):
-                named = {self.words[one.col_offset].text: self.read(one.value, depth + 1) for one in keywords}
-                if isinstance(function := parts[0], Name):
-                    return Call(start, end, function.name, tuple(parts[1:]), named)
-        raise Unreadable
+        self._depth += 1
+        node = super().visit(node)
+        self._depth -= 1
+        if isinstance(node, ast.expr):
+            assert node.end_col_offset is not None
+            node.col_offset, node.end_col_offset = node.col_offset + self._begin, node.end_col_offset + self._begin
+        return node
+
+    def visit_Name(self, node: ast.Name) -> ast.expr:
+        """Restore a variable, a number or a text."""
+        word = self._words[node.col_offset]
+        if word.kind == "name" and word.text not in ("True", "False"):
+            return ast.copy_location(ast.Name(word.text, node.ctx), node)
+        return ast.copy_location(ast.Constant(float(word.text) if word.kind == "number" else word.text), node)
+
+    def visit_Subscript(self, node: ast.Subscript) -> ast.AST:
+        """Restore a pose or an item: only there may expressions stand beside each other."""
+        self._items.append(node.slice)
+        return self.generic_visit(node)
+
+    def visit_Call(self, node: ast.Call) -> ast.AST:
+        """Restore a call of a function by its name."""
+        restored = self.generic_visit(node)
+        if not isinstance(node.func, ast.Name):
+            raise Unreadable
+        return restored
+
+    def visit_keyword(self, node: ast.keyword) -> ast.AST:
+        """Restore a named argument."""
+        if node.arg is None:
+            raise Unreadable
+        node.arg = self._words[node.col_offset].text
+        return self.generic_visit(node)
+
+
+def function_of(call: ast.Call) -> str:
+    """Return the name of the function that is called."""
+    assert isinstance(call.func, ast.Name)
+    return call.func.id
+
+
+def argument_of(call: ast.Call, index: int, name: str) -> ast.expr | None:
+    """Return the argument at an index or with a name; None if there is none."""
+    if index < len(call.args):
+        return call.args[index]
+    return next((one.value for one in call.keywords if one.arg == name), None)
+
+
+def items_of(expression: ast.expr) -> list[ast.expr] | None:
+    """Return the items of a list, or of a pose ``p[...]``; None for other expressions."""
+    match expression:
+        case ast.List(elts=items) | ast.Subscript(value=ast.Name(id="p"), slice=ast.Tuple(elts=items)):
+            return items
+        case ast.Subscript(value=ast.Name(id="p"), slice=item):
+            return [item]
+    return None
+
+
+def parts_of(expression: ast.expr) -> Iterator[ast.expr]:
+    """Yield the expression and everything inside it, in the order of the text, without names of functions."""
+    yield expression
+    for node in ast.iter_child_nodes(expression):
+        inner = node.value if isinstance(node, ast.keyword) else node
+        if isinstance(inner, ast.expr) and inner is not getattr(expression, "func", None):
+            yield from parts_of(inner)
 
 
 _FUNCTIONS = ("def", "thread", "sec")
@@ -243,7 +208,7 @@ class Statement:
         Number of blocks (if, while, ...) around it within that function.
     assigned : str
         Variable that it assigns; empty if none.
-    expression : Expression or None
+    expression : ast.expr or None
         Expression that is assigned, called or tested; None if the statement cannot be parsed.
     tokens : tuple of Token
     """
@@ -252,7 +217,7 @@ class Statement:
     path: tuple[str, ...]
     depth: int
     assigned: str
-    expression: Expression | None
+    expression: ast.expr | None
     tokens: tuple[Token, ...]
 
     @property
@@ -394,7 +359,7 @@ class Constants:
         self._parameters = program.parameters
         self._assigned = grouped((name, one) for one in program.statements for name in _assigned_names(one))
 
-    def definition(self, name: str, path: tuple[str, ...]) -> tuple[Expression, tuple[str, ...]]:
+    def definition(self, name: str, path: tuple[str, ...]) -> tuple[ast.expr, tuple[str, ...]]:
         """Return the only expression that a variable in a function (``path``) is assigned, and the function where.
 
         Raise ``Unresolved``.
@@ -414,25 +379,28 @@ class Constants:
             raise Unresolved(f"what line {found[0].line} does to '{name}' cannot be read")
         return found[0].expression, found[0].path
 
-    def value(self, expression: Expression, path: tuple[str, ...], within: tuple[str, ...] = ()) -> Value:
+    def value(self, expression: ast.expr, path: tuple[str, ...], within: tuple[str, ...] = ()) -> Value:
         """Return the value of an expression in a function. Raise ``Unresolved``."""
+        if (items := items_of(expression)) is not None:
+            numbers = tuple(self._number(item, path, within) for item in items)
+            return Value(numbers, pose=isinstance(expression, ast.Subscript))
         match expression:
-            case ScriptNumber(value=value):
-                return Value((value,))
-            case Name(name=name):
+            case ast.Constant(value=float(number)):
+                return Value((number,))
+            case ast.Name(id=name):
                 check_chain(name, within)
                 return self.value(*self.definition(name, path), (*within, name))
-            case Items(items=items, pose=pose):
-                return Value(tuple(self._number(item, path, within) for item in items), pose)
-            case Operation(sign=sign, operands=operands):
-                return _operation(sign, [self.value(operand, path, within) for operand in operands])
-            case Call(function=function, arguments=arguments, named=named) if not named:
-                return _call(function, [self.value(argument, path, within) for argument in arguments])
-            case Call(function=function):
-                raise Unresolved(f"{function}(...) {_RUNNING}")
+            case ast.UnaryOp(op=op, operand=operand) if type(op) in _SIGNS:
+                return _operation(_SIGNS[type(op)], [self.value(operand, path, within)])
+            case ast.BinOp(left=left, op=op, right=right):
+                return _operation(_SIGNS[type(op)], [self.value(one, path, within) for one in (left, right)])
+            case ast.Call(args=arguments, keywords=[]):
+                return _call(function_of(expression), [self.value(argument, path, within) for argument in arguments])
+            case ast.Call():
+                raise Unresolved(f"{function_of(expression)}(...) {_RUNNING}")
         raise Unresolved(f"it {_RUNNING}")
 
-    def _number(self, expression: Expression, path: tuple[str, ...], within: tuple[str, ...]) -> float:
+    def _number(self, expression: ast.expr, path: tuple[str, ...], within: tuple[str, ...]) -> float:
         numbers = self.value(expression, path, within).numbers
         if len(numbers) != 1:
             raise Unresolved("a list stands where a number is expected")

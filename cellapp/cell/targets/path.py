@@ -14,18 +14,16 @@ from pathlib import Path
 from typing import Annotated, Literal, Self
 
 import numpy as np
-from pydantic import AfterValidator, Field, ValidationError, field_validator, model_validator
-from pydantic_core import PydanticCustomError
+from pydantic import AfterValidator, Field, model_validator
 
-from cellapp.cell.profile.messages import value_message
+from cellapp.cell.profile.loader import read_yaml, validated
+from cellapp.cell.profile.messages import PlacedError, YamlDocument
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions, require_arms
 from cellapp.cell.safety.gate import CellBodies, refuse_motion, refuse_path, visible
 from cellapp.cell.targets.goals import goals_of_arm
 from cellapp.cell.targets.ranges import load_centers
 from cellapp.cell.targets.target_csv import is_csv
-from cellapp.cell.targets.target_source import location, placed_error, read_yaml
 from cellapp.cell.targets.targets import Target, WorkFrame, WorkingConditions
-from cellapp.ground.errors import InputError
 from cellapp.ground.profile import CellPoint, Profile
 from cellapp.ground.results import Record, Result
 from cellapp.robot.effects import MeasurementConditions
@@ -59,8 +57,7 @@ _COLLINEAR = 1e-3
 def _speed(value: float) -> float:
     if not 0.0 < value <= _FASTEST_M_S:
         raise ValueError(
-            f"expected a speed above 0 and at most {_FASTEST_M_S:g} m/s, got {value:g} m/s;"
-            f" a plain number is m/s, write '{value:g} mm/s' for mm/s"
+            f"expected a speed above 0 and at most {_FASTEST_M_S:g} m/s, got {value:g} m/s; is it '{value:g} mm/s'?"
         )
     return value
 
@@ -115,14 +112,9 @@ class PathSpec(Section):
     conditions: WorkingConditions = WorkingConditions()
     poses: Annotated[tuple[PathPose, ...], Field(min_length=2)]
 
-    @field_validator("poses")
-    @classmethod
-    def _poses_make_a_path(cls, poses: tuple[PathPose, ...]) -> tuple[PathPose, ...]:
-        _require_path(poses)
-        return poses
-
     @model_validator(mode="after")
-    def _frame_is_known(self) -> Self:
+    def _poses_make_a_path(self) -> Self:
+        _require_path(self.poses)
         if self.work_frame is not None and self.frame != self.work_frame.name:
             raise ValueError(f"frame: '{self.frame}' is not the work frame '{self.work_frame.name}'")
         return self
@@ -154,22 +146,16 @@ class PathList(Section):
 
 def holds_paths(path: Path) -> bool:
     """Return whether a file is a path file: YAML that says so in its key ``schema``."""
-    content = None if is_csv(path) else read_yaml(path).content
-    return isinstance(content, dict) and content.get("schema") == _SCHEMA
+    return not is_csv(path) and _document(path).data.get("schema") == _SCHEMA
 
 
 def load_paths(path: Path, profile: Profile) -> tuple[PathSpec, ...]:
     """Read a path file (YAML). Raise ``InputError`` with the file, the line and the path."""
-    source = read_yaml(path, "path file", "YAML")
-    try:
-        listed = PathList.model_validate(source.content)
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"]) or "the file"
-        raise InputError(f"{source.place(location(first))}: {key}: {value_message(first)}") from None
+    document = _document(path)
+    listed = validated(PathList, document)
     for index, spec in enumerate(listed.paths):
         if problem := _misfit(spec, listed.paths[:index], profile):
-            raise InputError(f"{source.place(('paths', index))}: path '{spec.name}'{problem}")
+            raise PlacedError(document.places["paths", index], f"path '{spec.name}'{problem}")
     return listed.paths
 
 
@@ -191,8 +177,12 @@ def _misfit(spec: PathSpec, others: tuple[PathSpec, ...], profile: Profile) -> s
     return ""
 
 
-def _pose_problem(pose: int, text: str) -> PydanticCustomError:
-    return placed_error((pose,), f"pose {pose + 1}: {text}")
+def _document(path: Path) -> YamlDocument:
+    return read_yaml(path, PathList, "give a path file (YAML)")
+
+
+def _pose_problem(pose: int, text: str) -> ValueError:
+    return ValueError(f"poses[{pose}]: {text}")
 
 
 def _require_path(poses: tuple[PathPose, ...]) -> None:

@@ -13,33 +13,36 @@
     partner_arm, partner_x_mm, ...              other arm of a cooperative target: arm, position, rotation, conditions
 
 Only name, arm and the position are required. An empty cell means that the value is not given. All coordinates of a file
-have the same unit, and so have all angles.
+have the same unit, and so have all angles. A number gets the unit of its column, and is then checked as one in YAML.
 """
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cellapp.cell.profile.messages import KeyPath
-from cellapp.cell.run.csv_text import (
-    COMMENTS,
-    NUMBER,
-    CsvTable,
-    Problems,
-    check_names,
-    read_csv_table,
-    short,
-    unquoted_text,
-)
-from cellapp.cell.targets.target_source import TargetSource
+from cellapp.cell.profile.messages import KeyPath, Spot, YamlDocument
+from cellapp.cell.run.csv_text import COMMENTS, CsvTable, Problems, check_names, read_csv_table, unquoted_text
 from cellapp.ground.counting import did_you_mean
-from drivers.quantities import parse_quantity
+
+
+@dataclass(frozen=True)
+class _Column:
+    """Contents of a column: its name, its key in a target, its unit as written in YAML (empty: none)."""
+
+    name: str
+    path: KeyPath
+    unit: str = ""
+
+    @property
+    def vector(self) -> KeyPath:
+        """Key of the vector of which it is a component; empty for other columns."""
+        return self.path[:-1] if isinstance(self.path[-1], int) else ()
+
 
 _WORDS: Mapping[str, KeyPath] = {
     "name": ("name",),
@@ -48,53 +51,33 @@ _WORDS: Mapping[str, KeyPath] = {
     "partner_arm": ("partner", "arm"),
     "partner_moves": ("partner", "moves"),
 }
-
-
-@dataclass(frozen=True)
-class _CsvQuantity:
-    """Contents of a column of numbers: its key in a target, its kind for ``parse_quantity``, and allowed units."""
-
-    path: KeyPath
-    kind: str
-    units: tuple[str, ...]
-
-
-def _vector(key: str, kind: str, units: tuple[str, ...], *names: str) -> dict[str, _CsvQuantity]:
-    return {name: _CsvQuantity((key, place), kind, units) for place, name in enumerate(names)}
-
-
-_OF_ONE_ARM: Mapping[str, _CsvQuantity] = {
-    **_vector("position", "length", ("mm", "m"), "x", "y", "z"),
-    **_vector("rpy", "angle", ("deg", "rad"), "roll", "pitch", "yaw"),
-    **_vector("rotation_vector", "angle", ("deg", "rad"), "rx", "ry", "rz"),
-    **_vector("quaternion", "", (), "qw", "qx", "qy", "qz"),
-    "payload": _CsvQuantity(("conditions", "payload"), "mass", ("kg",)),
-    "temperature": _CsvQuantity(("conditions", "temperature"), "temperature", ("c",)),
-    "time": _CsvQuantity(("conditions", "time"), "time", ("s",)),
-    "dwell": _CsvQuantity(("conditions", "dwell"), "time", ("s",)),
+_UNITS_OF_ONE_ARM: Mapping[str, tuple[KeyPath, tuple[str, ...]]] = {
+    **{axis: (("position", place), ("mm", "m")) for place, axis in enumerate("xyz")},
+    **{name: (("rpy", place), ("deg", "rad")) for place, name in enumerate(("roll", "pitch", "yaw"))},
+    **{f"r{axis}": (("rotation_vector", place), ("deg", "rad")) for place, axis in enumerate("xyz")},
+    **{f"q{part}": (("quaternion", place), ("",)) for place, part in enumerate("wxyz")},
+    "payload": (("conditions", "payload"), ("kg",)),
+    "temperature": (("conditions", "temperature"), ("c",)),
+    "time": (("conditions", "time"), ("s",)),
+    "dwell": (("conditions", "dwell"), ("s",)),
 }
-_QUANTITIES: Mapping[str, _CsvQuantity] = {
-    **_OF_ONE_ARM,
-    "tolerance": _CsvQuantity(("tolerance",), "length", ("mm", "m", "um")),
-    "orientation_tolerance": _CsvQuantity(("orientation_tolerance",), "angle", ("mrad", "rad", "deg")),
-    **{f"partner_{name}": replace(of, path=("partner", *of.path)) for name, of in _OF_ONE_ARM.items()},
+_UNITS: Mapping[str, tuple[KeyPath, tuple[str, ...]]] = {
+    **_UNITS_OF_ONE_ARM,
+    "tolerance": (("tolerance",), ("mm", "m", "um")),
+    "orientation_tolerance": (("orientation_tolerance",), ("mrad", "rad", "deg")),
+    **{f"partner_{stem}": (("partner", *path), units) for stem, (path, units) in _UNITS_OF_ONE_ARM.items()},
 }
-"""Quantities by the name of their column without its unit."""
-_UNITS = {"c": "degC"}
-"""Units that are written differently in columns than in ``parse_quantity``."""
+"""Key in a target, and possible units, by the name of a column without its unit."""
+_COLUMNS: Mapping[str, _Column] = {
+    name: _Column(name, path, "degC" if unit == "c" else unit)
+    for stem, (path, units) in _UNITS.items()
+    for unit in units
+    for name in (f"{stem}_{unit}" if unit else stem,)
+}
+"""All columns of numbers, without those of each joint."""
 _PER_JOINT = re.compile(r"approach([1-9][0-9]*)")
 _MIXED = {"position": "coordinates", "rpy": "angles", "rotation_vector": "angles"}
 """Quantities that must have the same unit throughout a file."""
-
-
-@dataclass(frozen=True)
-class _Column:
-    """Column of numbers: its name, its key in a target, its unit as written, and that unit in SI."""
-
-    name: str
-    path: KeyPath
-    unit: str
-    factor: float
 
 
 def is_csv(path: Path) -> bool:
@@ -106,7 +89,7 @@ def is_csv(path: Path) -> bool:
     return path.suffix.lower() == ".csv"
 
 
-def read_csv(path: Path, joints: Mapping[str, int]) -> TargetSource:
+def read_csv(path: Path, joints: Mapping[str, int]) -> YamlDocument:
     """Read a file; ``joints`` maps arms to their numbers of joints.
 
     Raises
@@ -114,198 +97,129 @@ def read_csv(path: Path, joints: Mapping[str, int]) -> TargetSource:
     InputError
         With file, line and column of what is missing, unknown or not a number.
     """
-    return source_of_table(read_csv_table(path, "targets", "a row per target"), joints)
+    return document_of_table(read_csv_table(path, "targets", "a row per target"), joints)
 
 
-def source_of_table(table: CsvTable, joints: Mapping[str, int]) -> TargetSource:
-    """Convert a table, from a file or from memory, into a source; ``joints`` and errors are as in ``read_csv``."""
+def document_of_table(table: CsvTable, joints: Mapping[str, int]) -> YamlDocument:
+    """Convert a table, from a file or from memory, into what YAML would say; else as ``read_csv``."""
     problems = Problems(table.place)
     columns = _columns(table, problems)
     problems.check()
     if not table.lines:
         problems.add(1, "targets", "there is a header row but no target; expected a row for each")
-    rows: list[dict[str, Any]] = [{} for _ in table.lines]
-    _fill(rows, table, columns, joints, problems)
-    problems.check()
-    names = {column.path: column.name for column in columns} | {path: name for name, path in _WORDS.items()}
+        problems.check()
+    document = YamlDocument({"schema": "cellapp-targets", "version": 1, "targets": []})
+    document.places |= {("targets",): _spot(table, 1), (): _spot(table, 1)}
+    for index in range(len(table.lines)):
+        document.data["targets"].append(_row(table, index, columns, joints))
+        at: KeyPath = ("targets", index)
+        document.places[at] = _spot(table, table.lines[index], *at)
+        for column in columns:
+            document.places[*at, *column.path] = _spot(table, table.lines[index], *at, column.name)
+            for end in range(1, len(column.path)):
+                inside: KeyPath = (*at, *column.path[:end])
+                document.places[inside] = _spot(table, table.lines[index], *inside)
+    return document
 
-    def place(location: KeyPath) -> str:
-        row = location[1] if len(location) > 1 else None
-        return table.place(table.lines[row] if isinstance(row, int) and row < len(table.lines) else 1)
 
-    def key(inside: KeyPath) -> str:
-        return names.get(inside) or next((names[at] for at in names if at[: len(inside)] == inside), "")
-
-    content = {"schema": "cellapp-targets", "version": 1, "targets": rows}
-    return TargetSource(content, place, key, _words)
-
-
-def _words(text: str) -> str:
-    """Return a message without the advice to write a unit after a number."""
-    problem, found, _ = text.partition("; a plain number is")
-    return f"{problem}; is the unit in the column's name the right one?" if found else text
+def _spot(table: CsvTable, line: int, *inside: str | int) -> Spot:
+    return Spot(str(table.path), line, inside) if table.row_places is None else Spot(table.place(line), 0, inside)
 
 
 # -- the header -------------------------------------------------------------------------------------------------------
 
 
 def _columns(table: CsvTable, problems: Problems) -> list[_Column]:
-    """Return the columns of numbers; report names that are unknown, without a unit, duplicate or missing."""
+    """Return the columns, components of vectors in order; report names that are unknown, duplicate or missing."""
     check_names(table, problems)
     columns: list[_Column] = []
     for name in filter(None, dict.fromkeys(table.names)):
-        if name in _WORDS:
-            continue
-        column = _column(name)
-        if isinstance(column, str):
-            problems.add(1, name, column)
-            continue
-        twice = next((other.name for other in columns if other.path == column.path), None)
-        if twice is not None:
-            problems.add(1, name, f"the same value as column {twice}; keep one")
-        columns.append(column)
+        if match := _PER_JOINT.fullmatch(name):
+            columns.append(_Column(name, ("approach", int(match.group(1)) - 1)))
+        elif name in _WORDS:
+            columns.append(_Column(name, _WORDS[name]))
+        elif name in _COLUMNS:
+            columns.append(_COLUMNS[name])
+        else:
+            problems.add(1, name, _unknown(name))
+    first: dict[KeyPath | str, _Column] = {}
+    for column in columns:
+        if (before := first.setdefault(column.path, column)) is not column:
+            problems.add(1, column.name, f"the same value as column {before.name}; keep one")
+        what = _MIXED.get(str(column.vector[-1])) if column.vector else None
+        if what and (before := first.setdefault(what, column)).unit != column.unit:
+            text = f"column {before.name} is in {before.unit}; give all {what} of a file in one unit"
+            problems.add(1, column.name, text)
     _check_complete(table, columns, problems)
-    _check_units(columns, problems)
-    return columns
+    return sorted(columns, key=lambda column: column.path[-1] if isinstance(column.path[-1], int) else -1)
 
 
-def _column(name: str) -> _Column | str:
-    """Return the column of numbers of that name, or why it is none."""
-    if match := _PER_JOINT.fullmatch(name):
-        return _Column(name, ("approach", int(match.group(1)) - 1), "", 1.0)
-    stem, _, unit = name.rpartition("_")
-    if name in _QUANTITIES:
-        found = _QUANTITIES[name]
-        return f"has no unit; name it {_choices(name)}" if found.units else _Column(name, found.path, "", 1.0)
-    if stem not in _QUANTITIES:
-        return f"unknown column{_similar(name)}; remove it, or correct its name"
-    found = _QUANTITIES[stem]
-    if unit not in found.units:
-        return f"'{unit}' is no unit of this column; name it {_choices(stem)}"
-    return _Column(name, found.path, unit, parse_quantity(found.kind, f"1 {_UNITS.get(unit, unit)}"))
+def _unknown(name: str) -> str:
+    stem = name if name in _UNITS else name.rpartition("_")[0]
+    if stem in _UNITS:
+        return f"its unit is missing or none of this column; name it {_choices(stem)}"
+    known = did_you_mean(name, [*_WORDS, *_COLUMNS, "approach1"], " (is '{}' meant?)")
+    return f"unknown column{known}; remove it, or correct its name"
 
 
 def _choices(stem: str) -> str:
     """Return the allowed names of a column."""
-    return " or ".join(f"{stem}_{unit}" for unit in _QUANTITIES[stem].units) or stem
-
-
-def _similar(name: str) -> str:
-    known = [*_WORDS, *(f"{stem}_{unit}" for stem, of in _QUANTITIES.items() for unit in of.units), "approach1"]
-    return did_you_mean(name, known, " (is '{}' meant?)")
+    return " or ".join(f"{stem}_{unit}" if unit else stem for unit in _UNITS[stem][1])
 
 
 def _check_complete(table: CsvTable, columns: Sequence[_Column], problems: Problems) -> None:
     """Report missing columns: those that every target needs, and the rest of a vector."""
-    for name in ("name", "arm"):
+    given = {column.path for column in columns}
+    partner = [("partner", "position")] if any(path[0] == "partner" for path in given) else []
+    for name in ["name", "arm", *("partner_arm" for _ in partner)]:
         if name not in table.names:
             problems.add(1, name, "the column is missing")
-    given = {column.path: column for column in columns}
-    in_use = {path[:-1] for path in given} | {("position",)}
-    if any(path[0] == "partner" for path in given) or "partner_arm" in table.names:
-        in_use.add(("partner", "position"))
-        if "partner_arm" not in table.names:
-            problems.add(1, "partner_arm", "the column is missing")
+    units = {column.vector: column.unit for column in columns}
     there = {*table.names, *(name.rpartition("_")[0] for name in table.names)}  # a wrong unit was reported already
-    for stem, of in _QUANTITIES.items():
-        *vector, place = of.path
-        if isinstance(place, int) and tuple(vector) in in_use and of.path not in given and stem not in there:
-            units = [column.unit for column in columns if column.path[:-1] == tuple(vector) and column.unit]
-            problems.add(1, f"{stem}_{units[0]}" if units else _choices(stem), "the column is missing")
+    for stem, (path, _) in _UNITS.items():
+        used = path[:-1] in units or path[:-1] in [("position",), *partner]
+        if isinstance(path[-1], int) and used and path not in given and stem not in there:
+            unit = units.get(path[:-1])
+            problems.add(1, f"{stem}_{unit}" if unit else _choices(stem), "the column is missing")
     joints = sorted(int(column.path[1]) for column in columns if column.path[0] == "approach")
-    for joint in range(len(joints)):
-        if joint not in joints:
-            problems.add(1, f"approach{joint + 1}", "the column is missing")
-
-
-def _check_units(columns: Sequence[_Column], problems: Problems) -> None:
-    """Report mixed units."""
-    first: dict[str, _Column] = {}
-    for column in columns:
-        what = _MIXED.get(str(column.path[-2])) if len(column.path) > 1 else None
-        if what is None:
-            continue
-        before = first.setdefault(what, column)
-        if column.unit != before.unit:
-            problems.add(
-                1, column.name, f"column {before.name} is in {before.unit}; give all {what} of a file in one unit"
-            )
+    for joint in set(range(len(joints))).difference(joints):
+        problems.add(1, f"approach{joint + 1}", "the column is missing")
 
 
 # -- the rows ---------------------------------------------------------------------------------------------------------
 
 
-def _fill(
-    rows: list[dict[str, Any]],
-    table: CsvTable,
-    columns: Sequence[_Column],
-    joints: Mapping[str, int],
-    problems: Problems,
-) -> None:
-    """Store texts and numbers under their keys; report cells that are not numbers, and incomplete vectors."""
-    for name, path in _WORDS.items():
-        for row, text in zip(rows, table.cells.get(name, ())):
-            if text.strip() or name in ("name", "arm"):
-                _enter(row, path, unquoted_text(text.strip()))
-    vectors: dict[KeyPath, list[_Column]] = {}
-    for column in sorted(columns, key=lambda column: column.path[-1] if isinstance(column.path[-1], int) else -1):
-        if isinstance(column.path[-1], int):
-            vectors.setdefault(column.path[:-1], []).append(column)
-            continue
-        for row, value in zip(rows, _values(table, column, problems)):
-            if value is not None:
-                _enter(row, column.path, value)
-    for path, members in vectors.items():
-        values = list(zip(*(_values(table, column, problems) for column in members)))
-        if path == ("approach",):
-            _fill_approach(rows, values, joints)
-            continue
-        for index, vector in enumerate(values):  # each row must have it completely or not at all
-            if None not in vector:
-                _enter(rows[index], path, vector)
-            elif any(value is not None for value in vector):
-                where = _cell(table, index, members[vector.index(None)].name)
-                problems.add(*where, "the value is missing; the row has others of the same vector")
+def _row(table: CsvTable, index: int, columns: Sequence[_Column], joints: Mapping[str, int]) -> dict[str, Any]:
+    """Return the keys of one target; an empty cell of a vector that has others is None, a sign among others 0."""
+    row: dict[str, Any] = {}
+    vectors: dict[KeyPath, list[Any]] = {}
+    for column in columns:
+        text = table.cells[column.name][index].strip()
+        if column.name in _WORDS:
+            if text or column.name in ("name", "arm"):
+                _enter(row, column.path, unquoted_text(text))
+        elif column.vector:
+            vectors.setdefault(column.vector, []).append(_value(text, column.unit))
+        elif text:
+            _enter(row, column.path, _value(text, column.unit))
+    for path, vector in vectors.items():
+        filled = max((place for place, value in enumerate(vector, start=1) if value is not None), default=0)
+        if path == ("approach",):  # columns of joints that the arm does not have may be empty
+            vector = [sign or 0 for sign in vector[: max(joints.get(str(row.get("arm")), len(vector)), filled)]]
+        if filled:
+            _enter(row, path, vector)
+    return row
 
 
-def _fill_approach(
-    rows: list[dict[str, Any]], values: Sequence[tuple[float | None, ...]], joints: Mapping[str, int]
-) -> None:
-    """Store signs: an empty cell beside others is 0; columns of joints that the arm does not have may be empty."""
-    for row, signs in zip(rows, values):
-        if any(sign is not None for sign in signs):
-            count = joints.get(str(row.get("arm")), len(signs))
-            filled = max(place for place, sign in enumerate(signs, start=1) if sign is not None)
-            _enter(row, ("approach",), [_whole(sign or 0.0) for sign in signs[: max(count, filled)]])
-
-
-def _whole(value: float) -> float | int:
+def _value(text: str, unit: str) -> str | float | int | None:
+    """Return a cell as it would be in YAML, a whole number as such; None if it is empty."""
+    if unit or not text:
+        return f"{text} {unit}" if text else None
+    try:
+        value = float(text)
+    except ValueError:
+        return text
     return int(value) if value.is_integer() else value
-
-
-def _values(table: CsvTable, column: _Column, problems: Problems) -> list[float | None]:
-    """Return a column in SI units, None for an empty cell; report cells that are not numbers."""
-    values: list[float | None] = []
-    for index, cell in enumerate(table.cells[column.name]):
-        text = cell.strip()
-        value = float(text) if NUMBER.fullmatch(text) else math.nan
-        if text and not math.isfinite(value):
-            problems.add(*_cell(table, index, column.name), _no_number(text, column))
-        values.append(value * column.factor if text else None)
-    return values
-
-
-def _no_number(text: str, column: _Column) -> str:
-    got = f"got '{short(text)}'"
-    if "," in text and NUMBER.fullmatch(text.replace(",", ".", 1)):
-        return f"expected a number with a decimal point, {got}; write {text.replace(',', '.', 1)}"
-    unit = f"; it is in {column.unit}, as the column's name says" if column.unit else ""
-    return f"expected a finite number such as 0.25, {got}{unit}"
-
-
-def _cell(table: CsvTable, index: int, column: str) -> tuple[int, str]:
-    """Return the line of a row, and the names of its target and of a column."""
-    return table.lines[index], f"target '{short(table.cells['name'][index].strip())}': {column}"
 
 
 def _enter(row: dict[str, Any], path: KeyPath, value: object) -> None:

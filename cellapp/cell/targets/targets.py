@@ -7,33 +7,41 @@ import gc
 import hashlib
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar
 
 import numpy as np
 from pydantic import (
     AfterValidator,
     AllowInfNan,
+    ConfigDict,
     Field,
     Strict,
-    TypeAdapter,
     ValidationError,
     ValidationInfo,
     field_validator,
     model_validator,
 )
 
-from cellapp.cell.profile.messages import KeyPath, dotted, short
+from cellapp.cell.profile.loader import document_in_memory, read_yaml
+from cellapp.cell.profile.messages import KeyPath, YamlDocument, short, validation_message
 from cellapp.cell.run.csv_text import is_frame, table_of_frame
 from cellapp.cell.targets.records import TargetRecord
-from cellapp.cell.targets.target_csv import is_csv, read_csv, source_of_table
-from cellapp.cell.targets.target_source import TargetSource, checked, placed_error, read_yaml, refusal, sentences
+from cellapp.cell.targets.target_csv import document_of_table, is_csv, read_csv
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import CORRECTED
 from cellapp.ground.profile import CellPoint, Profile
 from cellapp.ground.results import plain_data
-from cellapp.robot.kinematics.transforms import Array, apply, register, rotation_from_vector, rotations_of, zyx_angles
+from cellapp.robot.kinematics.transforms import (
+    Array,
+    apply,
+    register,
+    rotation_from_vector,
+    rotations_of,
+    xyz_of,
+    zyx_angles,
+)
 from drivers.quantities import Angle, ArmLength, Length, Mass, Temperature, Time, Turn
 from drivers.settings import Section
 
@@ -41,83 +49,65 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-# -- Read the rotation of a target: roll, pitch and yaw, a quaternion, a rotation vector or a matrix ------------------
+# -- Rotation of a target: roll, pitch and yaw, a quaternion, a rotation vector or a matrix ---------------------------
 
 
 _LARGEST = 1e-3
 """Largest deviation from one of a quaternion's norm, or of a matrix times its transpose: rounding to three digits.
 Beyond it is no rotation, or one that was copied wrongly."""
 _Number = Annotated[float, Strict(), AllowInfNan(False)]
-_ROW = tuple[_Number, _Number, _Number]
-_QUATERNION: TypeAdapter[tuple[float, ...]] = TypeAdapter(tuple[_Number, _Number, _Number, _Number])
-_VECTOR: TypeAdapter[tuple[float, ...]] = TypeAdapter(tuple[Turn, Turn, Turn])
-_MATRIX: TypeAdapter[tuple[tuple[float, ...], ...]] = TypeAdapter(tuple[_ROW, _ROW, _ROW])
-ROTATIONS = ("rpy", "quaternion", "rotation_vector", "matrix")
-"""Keys of which a target gives one, or none if any rotation will do."""
+_Row = tuple[_Number, _Number, _Number]
+_RollPitchYaw = tuple[Turn, Turn, Turn]
+_Quaternion = Annotated[tuple[_Number, _Number, _Number, _Number] | None, Field(exclude=True)]
+_RotationVector = Annotated[tuple[Turn, Turn, Turn] | None, Field(exclude=True)]
+_Matrix = Annotated[tuple[_Row, _Row, _Row] | None, Field(exclude=True)]
+R = TypeVar("R", bound=Section)
 
 
-def with_rpy(values: object) -> object:
-    """Return the keys of a target with ``rpy`` in place of another kind of rotation.
-
-    Raises
-    ------
-    PydanticCustomError
-        If two rotations are given, or the value is no rotation. It is placed at the key.
-    """
-    if not isinstance(values, Mapping):
-        return values
-    given = [key for key in ROTATIONS if values.get(key) is not None]
+def _as_rpy(rotated: R) -> R:
+    """Keep the rotation of a target as ``rpy`` alone, whatever it is given as."""
+    keys = ("rpy", *_READERS)
+    given = [key for key in keys if getattr(rotated, key) is not None]
     if len(given) > 1:
-        raise placed_error((given[1],), f"'{given[0]}' is there too; give one of {', '.join(ROTATIONS)}")
-    if _READERS.keys().isdisjoint(values):
-        return values
-    others = {name: value for name, value in values.items() if name not in _READERS}
-    if not given or given == ["rpy"]:
-        return others
-    yaw, pitch, roll = zyx_angles(_READERS[given[0]](values[given[0]]))
-    return {**others, "rpy": (roll + 0.0, pitch + 0.0, yaw + 0.0)}  # no -0.0
+        raise ValueError(f"{given[1]}: '{given[0]}' is there too; give one of {', '.join(keys)}")
+    if given and given != ["rpy"]:
+        yaw, pitch, roll = zyx_angles(_READERS[given[0]](getattr(rotated, given[0])))
+        # a frozen section, still being made; no -0.0
+        vars(rotated).update({"rpy": (roll + 0.0, pitch + 0.0, yaw + 0.0), given[0]: None})
+    return rotated
 
 
-# -- inside -----------------------------------------------------------------------------------------------------------
-
-
-def _of_quaternion(value: object) -> Array:
-    w, x, y, z = checked(_QUATERNION, value, ("quaternion",))
-    norm = math.hypot(w, x, y, z)
+def _of_quaternion(quaternion: Sequence[float]) -> Array:
+    norm = math.hypot(*quaternion)
     if abs(norm - 1.0) > _LARGEST:
-        raise placed_error(
-            ("quaternion",),
-            f"its norm is {norm:.6g}, {abs(norm - 1.0):.2g} from one (at most {_LARGEST:g}), so it is no rotation; give"
-            " w, x, y, z of unit norm",
+        raise ValueError(
+            f"quaternion: its norm is {norm:.6g}, {abs(norm - 1.0):.2g} from one (at most {_LARGEST:g}), so it is no"
+            " rotation; give w, x, y, z of unit norm"
         )
-    return rotations_of((w, x, y, z))
+    return rotations_of(quaternion)
 
 
-def _of_vector(value: object) -> Array:
-    return rotation_from_vector(checked(_VECTOR, value, ("rotation_vector",)))
-
-
-def _of_matrix(value: object) -> Array:
-    matrix = np.array(checked(_MATRIX, value, ("matrix",)))
+def _of_matrix(rows: Sequence[Sequence[float]]) -> Array:
+    matrix = np.array(rows)
     with np.errstate(over="ignore", invalid="ignore"):  # entries of 1e200
         off = float(np.abs(matrix @ matrix.T - np.eye(3)).max())
     if not off <= _LARGEST:
-        raise placed_error(
-            ("matrix",),
-            f"its rows are off unit length and right angles by {off:.2g} (at most {_LARGEST:g}), so it is no rotation;"
-            " give three rows of unit length at right angles",
+        raise ValueError(
+            f"matrix: its rows are off unit length and right angles by {off:.2g} (at most {_LARGEST:g}), so it is no"
+            " rotation; give three rows of unit length at right angles"
         )
     if np.linalg.det(matrix) < 0.0:
-        raise placed_error(("matrix",), "its determinant is -1: a reflection, no rotation; give right-handed axes")
+        raise ValueError("matrix: its determinant is -1: a reflection, no rotation; give right-handed axes")
     u, _, vt = np.linalg.svd(matrix)
     return np.asarray(u @ vt)  # the nearest rotation
 
 
-_READERS: Mapping[str, Callable[[object], Array]] = {
+_READERS: Mapping[str, Callable[[Any], Array]] = {
     "quaternion": _of_quaternion,
-    "rotation_vector": _of_vector,
+    "rotation_vector": rotation_from_vector,
     "matrix": _of_matrix,
 }
+"""Keys beside ``rpy`` by which a target may give its rotation -> the rotation (3, 3) that they say."""
 
 
 _LOOSEST_M = 0.01
@@ -129,18 +119,17 @@ _FARTHEST_M = 10.0
 _DIGEST = 16
 """Hexadecimal digits of a digest: 64 bits are enough to distinguish the versions of one target."""
 _BASE, _TRACKER = "base", "tracker"
-_POINT: TypeAdapter[tuple[float, ...]] = TypeAdapter(CellPoint)
 _THREE = ("origin", "x", "xy")
 
 
-def _tolerance(loosest: float, unit: str, words: str) -> AfterValidator:
-    """Return the check of a tolerance in an SI unit that people often state in thousandths; ``words`` name the unit."""
+def _tolerance(loosest: float, unit: str) -> AfterValidator:
+    """Return the check of a tolerance in an SI unit that people often state in thousandths."""
 
     def check(value: float) -> float:
         if not 0.0 < value <= loosest:
             raise ValueError(
-                f"expected a tolerance above 0 and at most {loosest * 1e3:g} m{unit}, got {value:g} {unit};"
-                f" a plain number is {words}, write '{value:g} m{unit}' for m{unit}"
+                f"expected a tolerance above 0 and at most {loosest * 1e3:g} m{unit}, got {value:g} {unit}; is it"
+                f" '{value:g} m{unit}'?"
             )
         return value
 
@@ -154,6 +143,9 @@ class FramePoint(Section):
     measured: CellPoint
 
 
+_OfThree = Annotated[CellPoint | None, Field(exclude=True)]
+
+
 class WorkFrame(Section):
     """A work frame W, given by three or more points measured in ``parent``: "tracker" or the name of an arm (its base).
 
@@ -161,28 +153,27 @@ class WorkFrame(Section):
     ``points`` three measured ones: ``origin``, ``x`` on the positive x axis, ``xy`` in the x-y plane with y > 0.
     """
 
-    name: Annotated[str, Field(min_length=1)]
-    parent: str = _TRACKER
-    points: Annotated[tuple[FramePoint, ...], Field(min_length=3)]
+    model_config = ConfigDict(validate_by_name=True, validate_by_alias=True)
 
-    @model_validator(mode="before")
-    @classmethod
-    def _of_file(cls, values: object) -> object:
-        if not isinstance(values, Mapping):
-            return values
-        keys = {"parent" if key == "in" else key: value for key, value in values.items()}
-        three = [key for key in _THREE if key in keys]
-        if not three or "points" in keys:
-            return keys
-        if missing := [key for key in _THREE if key not in keys]:
-            raise placed_error((missing[0],), f"missing; give {', '.join(_THREE)}, or points")
-        measured = [checked(_POINT, keys.pop(key), (key,)) for key in _THREE]
-        nominal = three_points(*np.array(measured)).tolist()
-        keys["points"] = [{"nominal": place, "measured": point} for place, point in zip(nominal, measured, strict=True)]
-        return keys
+    name: Annotated[str, Field(min_length=1)]
+    parent: Annotated[str, Field(alias="in")] = _TRACKER
+    points: tuple[FramePoint, ...] = ()
+    origin: _OfThree = None
+    x: _OfThree = None
+    xy: _OfThree = None
 
     @model_validator(mode="after")
     def _one_rigid_body(self) -> Self:
+        three = {key: point for key in _THREE if (point := getattr(self, key)) is not None}
+        if three and not self.points:
+            if missing := [key for key in _THREE if key not in three]:
+                raise ValueError(f"{missing[0]}: missing; give {', '.join(_THREE)}, or points")
+            measured = np.array(list(three.values()))
+            places = three_points(*measured)
+            points = [FramePoint(nominal=xyz_of(p), measured=xyz_of(m)) for p, m in zip(places, measured, strict=True)]
+            vars(self).update(dict.fromkeys(_THREE) | {"points": tuple(points)})  # a frozen section, still being made
+        if len(self.points) < 3:
+            raise ValueError(f"points: expected at least 3 values, got a list of {len(self.points)}")
         nominal, measured = (
             np.array([getattr(point, which) for point in self.points]) for which in ("nominal", "measured")
         )
@@ -223,11 +214,14 @@ class Partner(Section):
 
     arm: str
     position: tuple[ArmLength, ArmLength, ArmLength]
-    rpy: tuple[Turn, Turn, Turn] | None = None
+    rpy: _RollPitchYaw | None = None
     conditions: WorkingConditions = WorkingConditions()
     moves: Literal["both", "partner"] = "both"
+    quaternion: _Quaternion = None
+    rotation_vector: _RotationVector = None
+    matrix: _Matrix = None
 
-    _rotation = model_validator(mode="before")(with_rpy)
+    _rotation = model_validator(mode="after")(_as_rpy)
 
 
 class Target(Section):
@@ -258,16 +252,19 @@ class Target(Section):
     name: Annotated[str, Field(min_length=1)]
     arm: str
     position: CellPoint
-    rpy: tuple[Turn, Turn, Turn] | None = None
+    rpy: _RollPitchYaw | None = None
     frame: str = "base"
     work_frame: WorkFrame | None = None
-    tolerance: Annotated[Length, _tolerance(_LOOSEST_M, "m", "metres")] | None = None
+    tolerance: Annotated[Length, _tolerance(_LOOSEST_M, "m")] | None = None
     approach: tuple[Literal[-1, 0, 1], ...] | None = None
     conditions: WorkingConditions = WorkingConditions()
     partner: Partner | None = None
-    orientation_tolerance: Annotated[Angle, _tolerance(_LOOSEST_RAD, "rad", "rad")] | None = None
+    orientation_tolerance: Annotated[Angle, _tolerance(_LOOSEST_RAD, "rad")] | None = None
+    quaternion: _Quaternion = None
+    rotation_vector: _RotationVector = None
+    matrix: _Matrix = None
 
-    _rotation = model_validator(mode="before")(with_rpy)
+    _rotation = model_validator(mode="after")(_as_rpy)
 
     @property
     def tolerance_mm(self) -> float | None:
@@ -320,12 +317,14 @@ class TargetList(Section):
 
 @dataclass(frozen=True)
 class TargetProblem:
-    """Why a target does not fit the cell or the other targets: the wrong key, and a text that follows its name."""
+    """Why a target does not fit the cell or the other targets: the wrong key, and what is wrong with it."""
 
     key: str
     text: str
 
 
+_MOST_SHOWN = 5
+"""Problems in one message; the others are only counted."""
 _HEAD = 64 * 1024
 """Bytes of a file in which a mark of compensated commands stands."""
 
@@ -340,7 +339,7 @@ def load_targets(path: Path, profile: Profile) -> tuple[Target, ...]:
     """
     joints = {name: len(arm.type.joints) for name, arm in profile.arms.items()}
     with _collector_paused():
-        return targets_of(_source(Path(path), joints), profile)
+        return targets_of(_document(Path(path), joints), profile)
 
 
 def named_targets(profile: Profile, path: Path) -> tuple[Target, ...]:
@@ -348,17 +347,37 @@ def named_targets(profile: Profile, path: Path) -> tuple[Target, ...]:
     return () if profile.targets is None else load_targets(path.parent / profile.targets, profile)
 
 
-def targets_of(source: TargetSource, profile: Profile) -> tuple[Target, ...]:
-    """Return the targets of a source, checked against each other and the cell. Raise as ``load_targets``."""
+def targets_of(document: YamlDocument, profile: Profile) -> tuple[Target, ...]:
+    """Return the targets of a document, checked against each other and the cell. Raise as ``load_targets``."""
+    document = replace(document, schema=TargetList)
     try:
-        listed = TargetList.model_validate(source.content)
+        listed = TargetList.model_validate(document.data)
     except ValidationError as error:
-        found = sentences(source, error, _known_keys)
-        another_file = [(at, words) for at, words in found if at in (("schema",), ("version",))]
-        raise refusal(source, another_file or found) from None
+        raise InputError(validation_message(error, _by_name(document))) from None
     if misfits := [*_section_problems(listed, profile), *_target_problems(listed, profile)]:
-        raise refusal(source, misfits)
+        places = _by_name(document).places
+        lines = [f"{places.get(at) or places[at[:2]]}: {text}" for at, text in misfits[:_MOST_SHOWN]]
+        more = [f"and {len(misfits) - _MOST_SHOWN} more"] if len(misfits) > _MOST_SHOWN else []
+        raise InputError("\n".join(lines + more))
     return listed.targets
+
+
+def _by_name(document: YamlDocument) -> YamlDocument:
+    """Return the document with targets and frames by what people call them in its places."""
+
+    def named(inside: KeyPath) -> KeyPath:
+        match inside:
+            case ("targets", int(index), *rest):
+                keys = document.data["targets"][index]
+                name = keys.get("name") if isinstance(keys, dict) else None
+                called = f"target '{short(name)}'" if isinstance(name, str) and name else f"target {index + 1}"
+                return (called, *rest)
+            case ("frames", str(name), *rest):
+                return (f"frame '{short(name)}'", *rest)
+        return inside
+
+    places = {at: replace(spot, inside=named(spot.inside)) for at, spot in document.places.items()}
+    return replace(document, places=places)
 
 
 def list_problems(
@@ -373,9 +392,9 @@ def list_problems(
         if problem := _misfit(target, profile, work_frames):
             yield index, problem
         elif target.name in names:
-            yield index, TargetProblem("name", " is listed twice; give every target its own name")
+            yield index, TargetProblem("name", "listed twice; give every target its own name")
         elif frame is not None and not _same(known.setdefault(frame.name, frame), frame):
-            text = f": another target has a frame '{frame.name}' with other points; give one of them another name"
+            text = f"another target has a frame '{frame.name}' with other points; give one of them another name"
             yield index, TargetProblem("frame", text)
         names.add(target.name)
 
@@ -439,25 +458,19 @@ def _collector_paused() -> Iterator[None]:
 # -- what is written --------------------------------------------------------------------------------------------------
 
 
-def _source(path: Path, joints: Mapping[str, int]) -> TargetSource:
+def _document(path: Path, joints: Mapping[str, int]) -> YamlDocument:
     with contextlib.suppress(OSError), path.open("rb") as file:
         if CORRECTED.encode() in file.read(_HEAD):
             raise InputError(f"{path}: compensated commands, no targets: they are corrected. Give the target list")
     if is_csv(path):
         return read_csv(path, joints)
-    source = read_yaml(path)
-    name = source.content.get("targets") if isinstance(source.content, dict) else None
+    document = read_yaml(path, TargetList, "give a target list (YAML or CSV)")
+    name = document.data.get("targets")
     if not isinstance(name, str) or not name.lower().endswith(".csv"):
-        return source
+        return document
     rows = read_csv(path.parent / name, joints)
-    assert isinstance(source.content, dict)
-    assert isinstance(rows.content, dict)
-    content = {**source.content, "targets": rows.content["targets"]}
-
-    def place(at: KeyPath) -> str:
-        return (rows if at[:1] == ("targets",) else source).place(at)
-
-    return TargetSource(content, place, rows.key, rows.words)
+    data = {**document.data, "targets": rows.data["targets"]}
+    return replace(document, data=data, places={**document.places, **rows.places, (): document.places[()]})
 
 
 def _with_sections(
@@ -491,81 +504,57 @@ def _conditions(keys: Mapping[str, Any], usual: Mapping[str, WorkingConditions])
 def _section_problems(listed: TargetList, profile: Profile) -> Iterator[tuple[KeyPath, str]]:
     for name, frame in listed.frames.items():
         if problem := frame_problem(frame, profile):
-            yield ("frames", name), f"frame '{short(name)}': {problem}"
+            yield ("frames", name), problem
     for name in listed.conditions:
         if name not in profile.arms:
-            yield ("conditions", name), f"conditions: no arm '{short(name)}'; arms are {', '.join(profile.arms)}"
+            yield ("conditions", name), f"no such arm; arms are {', '.join(profile.arms)}"
 
 
 def _target_problems(listed: TargetList, profile: Profile) -> Iterator[tuple[KeyPath, str]]:
     for index, problem in list_problems(listed.targets, profile, listed.frames):
-        yield ("targets", index, problem.key), f"target '{short(listed.targets[index].name)}'{problem.text}"
+        yield ("targets", index, problem.key), problem.text
 
 
 def _misfit(target: Target, profile: Profile, frames: Iterable[str]) -> TargetProblem | None:
     """Return why a target does not fit the cell; None if it does."""
     if target.arm not in profile.arms:
-        return TargetProblem("arm", f": no arm '{short(target.arm)}'; arms are {', '.join(profile.arms)}")
+        return TargetProblem("arm", f"no arm '{short(target.arm)}'; arms are {', '.join(profile.arms)}")
     frame, known = target.work_frame, frame_names(profile)
     if frame is None and target.frame not in known:
         names = ", ".join([*known, *frames])
         return TargetProblem(
             "frame",
-            f": no frame '{short(target.frame)}'; frames are {names}; a YAML list, whose targets: may name a CSV file,"
+            f"no frame '{short(target.frame)}'; frames are {names}; a YAML list, whose targets: may name a CSV file,"
             " gives others under frames:",
         )
     if frame is not None and (frame.name != target.frame or frame_problem(frame, profile)):
-        return TargetProblem("frame", f": {frame_problem(frame, profile) or 'its work frame has another name'}")
+        return TargetProblem("frame", frame_problem(frame, profile) or "its work frame has another name")
     far = max(abs(value) for value in target.position)
     if target.frame in known and target.frame != _TRACKER and far > _FARTHEST_M:
-        text = f": {far:g} m is farther from the base than any arm reaches; is it {far:g} mm?"
-        return TargetProblem("position", text)
+        return TargetProblem("position", f"{far:g} m is farther from the base than any arm reaches; is it {far:g} mm?")
     joints = len(profile.arms[target.arm].type.joints)
     if target.approach is not None and len(target.approach) != joints:
-        text = (
-            f": approach: expected {joints} signs, one for each joint of arm {target.arm}, got {len(target.approach)}"
-        )
+        text = f"expected {joints} signs, one for each joint of arm {target.arm}, got {len(target.approach)}"
         return TargetProblem("approach", text)
     if target.orientation_tolerance is not None and target.rpy is None:
-        return TargetProblem("orientation_tolerance", ": give the target a rotation; where any will do none is off")
+        return TargetProblem("orientation_tolerance", "give the target a rotation; where any will do none is off")
     return None if target.partner is None else _partner_misfit(target, target.partner, profile)
 
 
 def _partner_misfit(target: Target, partner: Partner, profile: Profile) -> TargetProblem | None:
     others = ", ".join(name for name in profile.arms if name != target.arm) or "none: this cell has one arm"
     if partner.arm not in profile.arms:
-        return TargetProblem("partner", f": partner: no arm '{short(partner.arm)}'; the others are {others}")
+        return TargetProblem("partner", f"no arm '{short(partner.arm)}'; the others are {others}")
     if partner.arm == target.arm:
-        text = f": partner: arm {partner.arm} cannot be its own partner; the others are {others}"
-        return TargetProblem("partner", text)
+        return TargetProblem("partner", f"arm {partner.arm} cannot be its own partner; the others are {others}")
     if target.rpy is None:
-        text = ": a partner's place is given in the axes of the first arm's flange; give the target a rotation"
+        text = "a partner's place is given in the axes of the first arm's flange; give the target a rotation"
         return TargetProblem("rpy", text)
     return None
 
 
 def _same(first: WorkFrame, second: WorkFrame) -> bool:
     return first is second or first == second
-
-
-def _known_keys(at: KeyPath) -> list[str]:
-    """Return the keys that are allowed at the level of the key that a path leads to."""
-    places: Mapping[object, tuple[type[Section], Sequence[str]]] = {
-        "conditions": (WorkingConditions, ()),
-        "partner": (Partner, ROTATIONS[1:]),
-        "points": (FramePoint, ()),
-    }
-    section = [key for key in at[:-1] if isinstance(key, str)]
-    if section and section[-1] in places:
-        shape, more = places[section[-1]]
-    elif section[:1] == ["targets"]:
-        shape, more = Target, ROTATIONS[1:]
-    elif section[:1] == ["frames"]:
-        return ["in", "points", *_THREE]
-    else:
-        shape, more = TargetList, ()
-    names = [info.alias or name for name, info in shape.model_fields.items() if name != "work_frame"]
-    return [*names, *more]
 
 
 # -- Check that points determine a work frame; arrays only ------------------------------------------------------------
@@ -658,11 +647,11 @@ def targets_in_memory(given: Mapping[str, Any] | Sequence[Any] | pd.DataFrame, p
     """
     if is_frame(given):
         joints = {name: len(arm.type.joints) for name, arm in profile.arms.items()}
-        return targets_of(source_of_table(table_of_frame(given), joints), profile)
+        return targets_of(document_of_table(table_of_frame(given), joints), profile)
     content = plain_data(given)
     if isinstance(content, list):
         content = {"targets": content}
     if not isinstance(content, dict):
         raise InputError(f"targets: expected a path, a list, keys with values or a data frame, got {given!r:.60}")
     content = {"schema": "cellapp-targets", "version": 1, **content}
-    return targets_of(TargetSource(content, lambda at: "targets", lambda inside: dotted(inside)), profile)
+    return targets_of(document_in_memory(content, "targets"), profile)

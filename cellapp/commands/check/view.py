@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from cellapp.commands.check.request import CheckRequest
 from cellapp.commands.record import View
-from cellapp.commands.view.charts import Axis, Chart, Limit, series
 from cellapp.commands.view.parts import Part
 from cellapp.commands.view.table import Cell, Table, columns_of, table_of, with_rows
 from cellapp.estimation.monitoring.records import TRACKER, CheckedStop, CheckResult, FoundChange, LocateResult
-from cellapp.ground.counting import counted, mm, plain
+from cellapp.ground.counting import counted, plain
 
 _VERDICTS = {
     "valid": "the calibration still holds",
@@ -35,7 +32,7 @@ def view(result: CheckResult | LocateResult, request: CheckRequest | None = None
     if isinstance(result, LocateResult):
         return location_view(result)
     strict = request is not None and request.strict
-    parts: tuple[Part, ...] = (*check_tables(result), *check_sentences(result), *check_charts(result))
+    parts: tuple[Part, ...] = (*check_tables(result), *check_sentences(result))
     return View(parts, result.complaints(strict=strict), held="the calibration holds")
 
 
@@ -213,60 +210,4 @@ def _stop_table(result: CheckResult) -> Table:
         ("evidence of a change", lambda row: row[1].log_evidence, ".2f"),
         ("evidence of none", lambda row: row[1].log_valid, ".2f"),
         ("p", lambda row: _chance(row[1].p_value)),
-    )
-
-
-_STOP = Axis("stop")
-_CHANGE, _NONE = 3, 1
-"""Styles of the curves for a change and for none: those of effects and of the geometry."""
-
-
-def check_charts(result: CheckResult) -> tuple[Chart, ...]:
-    """Show the evidence and the errors over the stops."""
-    return evidence_chart(result), error_chart(result)
-
-
-def evidence_chart(result: CheckResult) -> Chart:
-    """Show how sure a change and none are after each stop, with the limits at which the test decides."""
-    stops = np.arange(1.0, len(result.stops) + 1.0)
-    drawn = (
-        series("a change", stops, [stop.log_evidence for stop in result.stops], style=_CHANGE),
-        series("no visible change", stops, [stop.log_valid for stop in result.stops], style=_NONE),
-    )
-    named = (("a change is sure", result.sure_change), ("no visible change is sure", result.sure_valid))
-    limits = tuple(Limit(name, value) for name, value in named if value is not None)
-    return Chart(
-        "Check: evidence over the stops",
-        _STOP,
-        Axis("-log of the chance of an error"),
-        drawn if result.stops else (),
-        _evidence_message(result),
-        limits,
-        by_stage=True,
-    )
-
-
-def error_chart(result: CheckResult) -> Chart:
-    """Show the distance of each measured SMR from its prediction, by arm."""
-    drawn, words = [], []
-    for style, (name, arm) in enumerate(result.arms.items()):
-        measured = [
-            (number, stop.points[name].error_mm)
-            for number, stop in enumerate(result.stops, start=1)
-            if name in stop.points
-        ]
-        drawn.append(series(f"arm {name}", [at for at, _ in measured], [error for _, error in measured], style=style))
-        words.append(f"arm {name} {mm(arm.rms_mm)} rms, {mm(arm.expected_mm)} expected")
-    message = f"Errors with the stored model: {'; '.join(words)}." if result.stops else "No stop was measured."
-    return Chart("Check: errors over the stops", _STOP, Axis("error", "mm"), tuple(drawn), message)
-
-
-def _evidence_message(result: CheckResult) -> str:
-    if not result.stops:
-        return "No stop was measured."
-    last = result.stops[-1]
-    of = {"of a change": (last.log_evidence, result.sure_change), "of none": (last.log_valid, result.sure_valid)}
-    words = [f"{what} {it:.1f}" + ("" if sure is None else f" (sure at {sure:.1f})") for what, (it, sure) in of.items()]
-    return (
-        f"Evidence after {counted(len(result.stops), 'stop')}: {', '.join(words)}; the verdict is '{result.verdict}'."
     )

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from cellapp.cell.run.records import ReferenceDrift
-from cellapp.commands.collect.result import CollectedStop, SweepTrace
+from cellapp.commands.collect.result import CollectedStop
 from cellapp.commands.view.charts import Axis, Chart, Kind, Limit, Series, enumerated, series
 from cellapp.ground.counting import counted, mm
 from cellapp.ground.grouping import grouped
@@ -18,7 +18,6 @@ from cellapp.robot.kinematics.transforms import Array
 
 NO_READINGS = "No stop was reported."
 NO_REFERENCES = "No reference was measured yet."
-NO_SWEEP = "No sweep is recorded yet."
 _STOP = Axis("stop")
 
 
@@ -124,21 +123,6 @@ def _drift_message(drift_mm: Mapping[str, Sequence[tuple[int, float]]], limit_mm
     if farthest > limit_mm:
         return f"{words}: beyond the limit of {mm(limit_mm)}. Check its nest and the tracker's stand."
     return f"{words}; the limit is {mm(limit_mm)}."
-
-
-def sweep_chart(trace: SweepTrace | None) -> Chart:
-    """Show the speed of the SMR over the time of the last sweep, with gaps where the beam was lost."""
-    axes = Axis("time", "s"), Axis("speed of the SMR", "mm/s")
-    if trace is None:
-        return Chart("Last sweep", *axes, (), NO_SWEEP)
-    speeds = [math.nan if one is None else one for one in trace.speed_mm_s]
-    seen = [one for one in trace.speed_mm_s if one is not None]
-    message = (
-        f"Arm {trace.arm}, {trace.name}: up to {max(seen, default=0.0):.0f} mm/s in"
-        f" {max(trace.time_s, default=0.0):.0f} s, {counted(trace.lost, 'point')} without the beam;"
-        f" {trace.recorded} of {counted(trace.planned, 'sweep')} recorded."
-    )
-    return Chart("Last sweep", *axes, (series(trace.name, trace.time_s, speeds),), message)
 
 
 # -- Drift over a run: mean residuals of successive blocks of stops, with bands ---------------------------------------

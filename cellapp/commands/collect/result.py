@@ -57,27 +57,13 @@ class ResidualRange(Record):
     after_mm: float | None = None
 
 
-class SweepTrace(Record):
-    """The sweep that was recorded last: the speed of its SMR [mm/s] by the tracker at some times since its first point
-    [s], None in gaps; how many planned sweeps are recorded; and points at which the beam was lost."""
-
-    arm: str
-    name: str
-    recorded: int
-    planned: int
-    lost: int
-    time_s: tuple[float, ...]
-    speed_mm_s: tuple[float | None, ...]
-
-
 class CollectionResult(Result, schema="cellapp-collection"):
     """``show DIR collection``: sessions, missing readings, reference drift, standard errors reached, every stop.
 
     ``missing_share`` and ``tolerated_share`` are as in ``CollectResult``; ``standard_error_mm`` maps each arm to the
     standard uncertainty of a predicted SMR position from its parameters. ``stops`` are those that were tried, each arm
     on its own, by number; ``residual_ranges`` maps each arm with readings to what is normal for its residuals.
-    ``replaced`` are the readings of stops that were measured again, as they were before. ``sweep`` is the last recorded
-    one.
+    ``replaced`` are the readings of stops that were measured again, as they were before.
     """
 
     run: str
@@ -91,8 +77,6 @@ class CollectionResult(Result, schema="cellapp-collection"):
     stops: tuple[CollectedStop, ...] = ()
     residual_ranges: Mapping[str, ResidualRange] = Field(default_factory=dict)
     replaced: tuple[ReplacedReading, ...] = ()
-    sweep: SweepTrace | None = None
-    omitted_when_none = frozenset({"sweep"})
 
     @property
     def last(self) -> Session | None:

@@ -8,12 +8,9 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from cellapp.cell.driving.live_model import LiveModel
-from cellapp.cell.planning.sweeps import read_sweeps
 from cellapp.cell.run import Outcome, RunFile
-from cellapp.cell.run.columns import POINT
 from cellapp.cell.run.measured_again import earlier_readings, missing_readings, missing_share, reference_drifts
-from cellapp.cell.run.recordings import read_stream, recording_states
-from cellapp.commands.collect.result import CollectedStop, CollectionResult, ReplacedReading, ResidualRange, SweepTrace
+from cellapp.commands.collect.result import CollectedStop, CollectionResult, ReplacedReading, ResidualRange
 from cellapp.commands.run_results import RunResults
 from cellapp.estimation.calibration.online import Residuals
 from cellapp.estimation.calibration.records import ArmCalibrationResult
@@ -57,7 +54,6 @@ def collection_state(run: RunFile, results: RunResults | None = None) -> Collect
             if stops
         },
         replaced=replaced,
-        sweep=last_sweep(run),
     )
 
 
@@ -124,41 +120,3 @@ def _usual_mm(its: Residuals | None) -> float | None:
 def _held_out_mm(arm: ArmCalibrationResult | None) -> float | None:
     """Return the 95th percentile [mm] of the held-out errors of the calibration's last stage."""
     return None if arm is None or not arm.validate_ else arm.validate_[arm.best_stage].position_mm.p95
-
-
-# -- Trace of the sweep recorded last: the speed of its SMR as seen by the tracker ------------------------------------
-
-
-_MOST_DRAWN = 300
-_GAP = 3.0
-"""Ratio of the time between two drawn points to the usual one from which the beam was lost between them."""
-
-
-def last_sweep(run: RunFile) -> SweepTrace | None:
-    """Return the trace of the sweep recorded last; None if none was planned or recorded."""
-    places = {(sweep.arm, sweep.name): place for place, sweep in enumerate(read_sweeps(run))}
-    found = [
-        (places[key], state)
-        for state in recording_states(run)
-        if (key := (state.arm, state.part_of or state.name)) in places
-    ]
-    if not found:
-        return None
-    _, newest = max(found, key=lambda one: (one[0], one[1].name))
-    columns, _ = read_stream(run, newest, "points")
-    time_s, p_M = columns["time_s"], np.column_stack([columns[name] for name in POINT])
-    rows = np.linspace(0, len(time_s) - 1, min(len(time_s), _MOST_DRAWN)).astype(np.intp)
-    step_s = np.diff(time_s[rows])
-    speed = 1e3 * np.linalg.norm(np.diff(p_M[rows], axis=0), axis=1) / np.maximum(step_s, 1e-9)
-    seen = step_s < _GAP * float(np.median(step_s))
-    return SweepTrace(
-        arm=newest.arm,
-        name=newest.name,
-        recorded=len({place for place, _ in found}),
-        planned=len(places),
-        lost=newest.points.lost,
-        time_s=tuple((0.5 * (time_s[rows][1:] + time_s[rows][:-1]) - time_s[0]).round(3).tolist()),
-        speed_mm_s=tuple(
-            one if there else None for one, there in zip(speed.round(2).tolist(), seen.tolist(), strict=True)
-        ),
-    )

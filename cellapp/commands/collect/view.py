@@ -11,7 +11,7 @@ from cellapp.cell.driving.records import CollectResult
 from cellapp.cell.run import Outcome
 from cellapp.cell.run.records import RecordingState
 from cellapp.cell.run.sqlite_file import Session
-from cellapp.commands.collect.charts import drift_by_reference, drift_chart, sweep_chart
+from cellapp.commands.collect.charts import drift_by_reference, drift_chart
 from cellapp.commands.collect.result import CollectedStop, CollectionResult
 from cellapp.commands.record import Request, View
 from cellapp.commands.view.charts import Chart
@@ -32,8 +32,7 @@ def view(result: CollectResult, request: Request | None = None) -> View:
 def stored_view(state: CollectionResult) -> View:
     """Show the run's collection so far, and the drift of its references."""
     ranges = residual_range_words(state)
-    drawn = (*_drift_charts(state), *([] if state.sweep is None else [sweep_chart(state.sweep)]))
-    return View((*([ranges] if ranges else []), *collection_tables(state), *drawn))
+    return View((*([ranges] if ranges else []), *collection_tables(state), *_drift_charts(state)))
 
 
 def collection_section(state: CollectionResult) -> Section:

@@ -12,12 +12,9 @@ from cellapp.cell.targets.targets import Target, same_target
 from cellapp.commands.compensate.words import Measured, arms_words, shown_tolerance
 from cellapp.commands.run_results import RunResults
 from cellapp.commands.view.table import Cell, Table, columns_of
-from cellapp.estimation.uncertainty.budget import target_verdict
 from cellapp.ground.grouping import grouped
-from cellapp.ground.results import DecisionRule
 
 R = TypeVar("R", bound=TargetRecord)
-J = TypeVar("J", MeasuredTarget, MeasuredPair)
 
 _COLUMNS = columns_of(
     *("target", "arm", ("tol.", "g", "mm"), "state", "error [mm]", "frame"),
@@ -120,29 +117,23 @@ def target_state(target: Target, results: RunResults | None) -> TargetState:
 def target_states(targets: Sequence[Target], results: RunResults | None) -> list[TargetState]:
     """Return what the run knows about each target; a result counts only if the target has not changed since.
 
-    A measurement also counts after a change of the tolerance and is then judged by the new one, as the SMR's position
-    does not depend on it. Of measurements and motions the last measurement counts; without one, the last motion.
+    Of measurements and motions the last measurement counts; without one, the last motion.
     """
     if results is None:
         return [TargetState()] * len(targets)
     commands = {} if results.compensate is None else grouped((one.name, one) for one in results.compensate.targets)
     pushes = [
-        (grouped((one.name, one) for one in pushed.targets), {pair.name: pair for pair in pushed.pairs}, pushed.rule)
+        (grouped((one.name, one) for one in pushed.targets), {pair.name: pair for pair in pushed.pairs})
         for pushed in (results.verify, results.push)
         if pushed is not None
     ]
     states = []
     for target in targets:
         state = TargetState(tuple(entry for entry in commands.get(target.name, ()) if same_target(target, entry)))
-        for measured, pairs, rule in pushes:
-            found = tuple(
-                one for one in measured.get(target.name, ()) if same_target(_with_tolerance(target, one), one)
-            )
+        for measured, pairs in pushes:
+            found = tuple(one for one in measured.get(target.name, ()) if same_target(target, one))
             if not state.measured and found:
-                found = tuple(_rotation_judged(_judged(one, target.tolerance_mm, rule), target, rule) for one in found)
-                pair = pairs.get(target.name)
-                judged = None if pair is None else _pair_judged(pair, target, rule)
-                state = replace(state, measured=found, pair=judged)
+                state = replace(state, measured=found, pair=pairs.get(target.name))
         states.append(state)
     return states
 
@@ -255,48 +246,3 @@ def _short_state(state: TargetState) -> str:
     if state.measured:
         return "measured" if state.is_measured else "reached"
     return "compensated" if state.commands else ""
-
-
-def _with_tolerance(target: Target, stored: TargetRecord) -> Target:
-    """Return the target with the tolerances that a stored result had."""
-    changed: dict[str, float | None] = {}
-    if stored.tolerance_mm != target.tolerance_mm:
-        changed["tolerance"] = _thousandth(stored.tolerance_mm)
-    if stored.orientation_tolerance_mrad != target.orientation_tolerance_mrad:
-        changed["orientation_tolerance"] = _thousandth(stored.orientation_tolerance_mrad)
-    return target.model_copy(update=changed) if changed else target
-
-
-def _thousandth(value: float | None) -> float | None:
-    return None if value is None else round(value * 1e-3, 12)
-
-
-def _rotation_judged(one: MeasuredTarget, target: Target, rule: DecisionRule) -> MeasuredTarget:
-    """Return a measurement with its rotation judged by the target's tolerance; unchanged if it was judged by that."""
-    limit, rotation = target.orientation_tolerance_mrad, one.orientation
-    if rotation is None or one.orientation_tolerance_mrad == limit:
-        return one
-    verdict = target_verdict(rotation.final_mrad, rotation.expanded_mrad, limit, rule)
-    judged = rotation.model_copy(update={"verdict": verdict})
-    return one.model_copy(update={"orientation_tolerance_mrad": limit, "orientation": judged})
-
-
-def _pair_judged(one: MeasuredPair, target: Target, rule: DecisionRule) -> MeasuredPair:
-    """Return a measurement of both arms judged by the target's tolerances."""
-    limits, seen = (target.tolerance_mm, target.orientation_tolerance_mrad), one.relative
-    if seen is not None and (one.tolerance_mm, one.orientation_tolerance_mrad) != limits:
-        verdicts = {
-            "position_verdict": target_verdict(seen.final_mm, seen.expanded_mm, limits[0], rule),
-            "verdict": target_verdict(seen.final_mrad, seen.expanded_mrad, limits[1], rule),
-        }
-        relative = seen.model_copy(update=verdicts)
-        one = one.model_copy(update={"relative": relative, "orientation_tolerance_mrad": limits[1]})
-    return _judged(one, limits[0], rule)
-
-
-def _judged(one: J, tolerance_mm: float | None, rule: DecisionRule) -> J:
-    """Return a measurement judged by ``tolerance_mm``; unchanged if it was judged by that."""
-    if one.tolerance_mm == tolerance_mm:
-        return one
-    verdict = target_verdict(one.final_mm, one.expanded_mm, tolerance_mm, rule)
-    return one.model_copy(update={"tolerance_mm": tolerance_mm, "verdict": verdict})

@@ -130,10 +130,7 @@ def test_sweeps_are_driven_and_recorded_with_both_clocks(planned: Path, tmp_path
         shares = [one.done_s for one in told]
         assert shares == sorted(shares)
         assert len(set(shares)) > 2 * (PERIOD_S - 1.0)
-        assert (told[-1].done_s, told[-1].points) == (PERIOD_S, len(recording.points.p_M))
-        ages_s = [one.point_age_s for one in told if one.point_age_s is not None]
-        assert ages_s
-        assert all(0.0 <= age_s <= 0.1 for age_s in ages_s)  # packets are late by 40 ms
+        assert told[-1].done_s == PERIOD_S
         assert f"sweep of {recording.arm} 100%, 4 of 4 s" in next(e.note for e in heard if e.detail is told[-1])
         assert np.median(recording.points.time_s - recording.joints.time_s[0]) > 320.0
         nominal = nominal_arm(run.profile.arms[recording.arm])
@@ -158,8 +155,6 @@ def test_a_lost_beam_slows_the_arm_down_and_the_rest_is_a_recording_of_its_own(
         assert {one.lost_beams for one in told[:searching]} == {0}
         assert {one.lost_beams for one in told[searching:]} == {1}
         assert 2.0 < told[searching].done_s < told[-1].done_s == PERIOD_S
-        points = [one.points for one in told]
-        assert points == sorted(points), "of both parts together"
         parts = [one for one in recording_states(run) if one.arm == "left" and one.part_of == "sweep-1"]
         assert [one.name for one in parts] == ["sweep-1", "sweep-1.2"]
         assert parts[0].reached_s is not None
@@ -193,7 +188,6 @@ def test_a_beam_that_stays_lost_ends_the_recording_and_the_arm_comes_back(planne
         assert states == ["moving", "searching", "unrecorded", "done"]
         rest = [one for one in told if one.state == "unrecorded"]
         assert "1 lost beam, the rest is not recorded" in rest[-1].words()
-        assert rest[0].points == rest[-1].points > 0
         assert any("the rest of its sweep is not recorded" in event.text for event in run.events())
         assert ("left", "sweep-1") not in names(run)
         assert {arm for arm, _ in names(run)} == {"right"}

@@ -103,7 +103,7 @@ def test_a_yaml_file_gives_a_csv_file_work_frames_and_conditions(path: Path) -> 
     assert two.work_frame is None
     assert one.conditions == two.conditions == WorkingConditions(payload=2.0)
     yaml.write_text(head)
-    with pytest.raises(InputError, match=r"targets.csv:2: target 'one': no frame 'table'"):
+    with pytest.raises(InputError, match=r"targets.csv:2: target 'one'.frame: no frame 'table'"):
         load_targets(yaml, PROFILE)
     yaml.write_text(head.replace("targets.csv", "targets.txt"))
     with pytest.raises(InputError, match=r"job.yaml:3: targets: expected a list, got 'targets.txt'"):

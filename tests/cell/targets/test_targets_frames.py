@@ -91,7 +91,7 @@ def points_text(measured: Sequence[Sequence[float]], nominal: Sequence[Sequence[
 @pytest.mark.parametrize(
     ("frame", "says"),
     [
-        (points_text(LINE[:2], LINE[:2]), "5: frame 'table': points: expected at least 3 values, got a list of 2"),
+        (points_text(LINE[:2], LINE[:2]), "5: frame 'table'.points: expected at least 3 values, got a list of 2"),
         (points_text(LINE, LINE), "4: frame 'table': the nominal points lie on one line"),
         (points_text([(0, 0, 0)] * 4), "4: frame 'table': the measured points lie on one line"),
         (
@@ -100,14 +100,14 @@ def points_text(measured: Sequence[Sequence[float]], nominal: Sequence[Sequence[
             " measured, 12.000 mm apart; expected at most 5 mm: check the order",
         ),
         (points_text([*CORNERS[:3], (0, 0, -0.5)]), "4: frame 'table': the measured points are the mirror image of th"),
-        (points_text([*CORNERS[:2], (0, 500, 0), CORNERS[3]]), "8: frame 'table': points[2].measured[1]: 500 m is"),
+        (points_text([*CORNERS[:2], (0, 500, 0), CORNERS[3]]), "8: frame 'table'.points[2].measured[1]: 500 m is"),
         (FRAME.replace("tracker", "middle"), "4: frame 'table': in: expected tracker, left, right, where its points"),
         (FRAME.replace("table", "left"), "4: frame 'left': 'left' is the name of a frame that every cell has"),
-        (FRAME.replace("xy:", "yx:"), "4: frame 'table': xy: missing; give origin, x, xy, or points"),
-        (FRAME.replace("500 mm", "500 deg"), "4: frame 'table': x[1]: 'deg' is not a unit of length"),
+        (FRAME.replace(", xy: [0.5, 0, 0]", ""), "4: frame 'table'.xy: missing; give origin, x, xy, or points"),
+        (FRAME.replace("500 mm", "500 deg"), "4: frame 'table'.x[1]: 'deg' is not a unit of length"),
         (FRAME.replace("xy: [0.5", "xy: [1"), "4: frame 'table': the nominal points lie on one line"),
         ("frames: {table: 1}\n", "3: frame 'table': expected keys with values"),
-        (FRAME + "  table: {in: left}\n", "5: not YAML: key 'table' is there twice"),
+        (FRAME + "  table: {in: left}\n", "5: frames.table: duplicate key (first in line 4)"),
     ],
 )
 def test_a_work_frame_that_is_refused(path: Path, frame: str, says: str) -> None:
@@ -137,7 +137,7 @@ def test_targets_and_lists_that_are_refused(path: Path) -> None:
     assert_refused(Path(__file__).parent / "approved" / "refused-lists.txt", refused)
 
 
-@pytest.mark.parametrize(("open_", "says"), [("[", "3: nested too deeply"), ("- ", "3: not YAML")])
+@pytest.mark.parametrize(("open_", "says"), [("[", " nested too deeply"), ("- ", "3: not YAML")])
 def test_a_list_that_is_nested_without_end_is_refused(path: Path, open_: str, says: str) -> None:
     assert f"targets.yaml:{says}" in refusal(path, "targets: " + open_ * 100_000)
 

@@ -99,7 +99,7 @@ async def test_a_list_is_edited_and_checked_again(tmp_path: Path, few: Path, mon
         monkeypatch.chdir(tmp_path)
         edits(app, monkeypatch, "left-02", "left-01")
         await pilot.press("u")
-        await shows(pilot, "is listed twice")
+        await shows(pilot, "listed twice")
         assert grid(app).row_count == 3, "the list that was read before"
         edits(app, monkeypatch, "left-03", "third")
         few.write_text(few.read_text("utf-8").replace("left-01", "first", 1), "utf-8")

@@ -27,7 +27,6 @@ from cellapp.commands.collect.charts import (
     live_residual_chart,
     standard_error_chart,
     stored_residual_chart,
-    sweep_chart,
 )
 from cellapp.commands.collect.request import VERB as COLLECT
 from cellapp.commands.collect.view import collection_tables
@@ -136,7 +135,7 @@ def _of_stops(state: RunState) -> tuple[str, str, Look]:
 
 View = Literal["log", "plots", "stops", "collected"]
 _VIEWS: tuple[View, ...] = get_args(View)
-_PLOTS = ("residuals", "errors", "drift", "sweep")
+_PLOTS = ("residuals", "errors", "drift")
 _TALL = 50
 """Smallest number of lines of a terminal with one line for each part of a day."""
 _PLOTTING_S = 0.2
@@ -178,7 +177,7 @@ class CollectScreen(DayScreen):
         yield Static("", id="suspicions", markup=False)
         with Container(id="plots"):
             for name in _PLOTS:
-                yield ChartPlot(id=name, classes="empty" if name == "sweep" else None)
+                yield ChartPlot(id=name)
         yield LogPane(id="log")
         yield CollectedStops(id="stops")
         yield PartsView(id="collected")
@@ -188,7 +187,7 @@ class CollectScreen(DayScreen):
         self.query_one("#state").tooltip = "The state of the job, and what can be done now."
         self.query_one("#suspicions").tooltip = "What the measurements made doubtful: look at it before you go on."
         for plot in self.query(ChartPlot):
-            plot.tooltip = "Errors of the newest points, standard errors, drift of the references, the newest sweep."
+            plot.tooltip = "Errors of the newest points, standard errors, drift of the references."
         self.query_one(f"#{_PLOTS[0]}").add_class("chosen")
         self.query_one(LogPane).view.focus()
 
@@ -254,8 +253,7 @@ class CollectScreen(DayScreen):
     def action_view(self, view: View) -> None:
         """Show the log, the plots or the stored data; if plots are already shown, the next one."""
         if view == "plots" and self.has_class("plots"):
-            shown = len(_PLOTS) - self.query_one("#sweep").has_class("empty")  # without sweeps it is hidden
-            self._plot = (self._plot + 1) % shown
+            self._plot = (self._plot + 1) % len(_PLOTS)
         for number, name in enumerate(_PLOTS):
             self.query_one(f"#{name}").set_class(number == self._plot, "chosen")
         self.update_classes({one: one == view for one in _VIEWS})
@@ -416,8 +414,6 @@ class CollectScreen(DayScreen):
     def _chart(self, name: str, record: JobRecord) -> Chart:
         """Return a chart of the job, or of the stored data if the job has no stop or no reference."""
         collection = self.workspace.collection
-        if name == "sweep":
-            return sweep_chart(None if collection is None else collection.sweep)
         if name == "drift":
             if record.references or collection is None:
                 return live_drift_chart(record.references)

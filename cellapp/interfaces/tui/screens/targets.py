@@ -78,7 +78,7 @@ def _unfit(targets: Sequence[Target], profile: Profile) -> str:
     if first is None:
         return ""
     index, problem = first
-    return f"Target '{targets[index].name}'{problem.text}. {SHOWN['edit']} edits the list."
+    return f"Target '{targets[index].name}', {problem.key}: {problem.text}. {SHOWN['edit']} edits the list."
 
 
 _NOT_MEASURED = f"Nothing was computed yet: {SHOWN['go']} compensates, {SHOWN['measure']} pushes and verifies."

@@ -119,10 +119,6 @@ class TrackerPanel(Widget):
             " uncertainty; the air."
         )
 
-    def watch_tracker(self, before: TrackerRecord, now: TrackerRecord) -> None:
-        """Set the class of a sweep, which has more to show."""
-        self.set_class(now.sweep is not None, "sweep")
-
     def render(self) -> Content:
         """Return the line of the tracker."""
         return Content.assemble(("tracker", "bold"), " ", tracker_words(self.tracker))
