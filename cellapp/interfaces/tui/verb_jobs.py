@@ -17,7 +17,6 @@ from cellapp.interfaces.tui.jobs import Ask, Job
 if TYPE_CHECKING:
     from cellapp.cell.run import RunFile
     from cellapp.commands.init.request import InitRequest
-    from cellapp.commands.report.data import ReportData
     from cellapp.ground.profile import Profile
     from cellapp.ground.results import Result
 
@@ -124,24 +123,6 @@ def _of_run(name: str, folder: Path, work: Callable[[RunFile, JobControl, Ask], 
             return work(run, control, ask)
 
     return Job(name, opened, folder)
-
-
-def report_data(folder: Path | None) -> ReportData | None:
-    """Read the data for plots of a calibrated run; None if there is no calibration. Call it in a separate thread."""
-    from cellapp.cell.run import RunFile
-    from cellapp.commands.report.data import read_report_data
-    from cellapp.ground.errors import CellappError
-
-    if folder is None:
-        return None
-    try:
-        with RunFile.open(folder) as run:
-            data = read_report_data(run)
-    except (CellappError, OSError, ValueError, TypeError):  # the last three: values of a damaged or foreign file
-        return None  # the screen says what is missing
-    for arm in data.held_out.values():
-        _ = arm.errors_mm  # computed here, not while drawing
-    return data
 
 
 def words_of_run(folder: Path) -> str:

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import ClassVar
 
 from textual import on
-from textual import work as in_thread
 from textual.app import ComposeResult
 from textual.binding import BindingType
 from textual.widget import Widget
@@ -25,7 +24,6 @@ from cellapp.commands.calibrate.view import calibration_tables, parameters_view,
 from cellapp.commands.export.request import STAGES, VERB
 from cellapp.commands.report.data import ReportData
 from cellapp.commands.stored_model import values_in_force
-from cellapp.commands.view.charts import Chart
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import with_effects
 from cellapp.ground.results import CALIBRATE, Result
@@ -135,7 +133,7 @@ class CalibrateScreen(TabsScreen):
     # -- drawing -------------------------------------------------------------------------------------------------------
 
     def show_run(self, workspace: Workspace) -> None:
-        """Draw the calibration of the run; the plots are drawn when their data are read."""
+        """Draw the calibration of the run."""
         result: CalibrateResult | None = workspace.stored(CALIBRATE)
         if result is None:
             for title in self.TABS:
@@ -144,21 +142,14 @@ class CalibrateScreen(TabsScreen):
         outdated = self.outdated(CALIBRATE, "go", "calibrates again")
         self.tab("Stages").show((*calibration_tables(result), *tracker_sentences(result), *result.notes), outdated)
         self.tab("Parameters").show(parameters_view(result).parts, outdated)
-        self._read(workspace)
+        self.tab("Errors").show([])
+        if workspace.data is not None:
+            self._show_errors(workspace.data)
 
-    @in_thread(thread=True, exclusive=True)
-    def _read(self, workspace: Workspace) -> None:
-        self.call_later(self._take, workspace, verb_jobs.report_data(workspace.folder))
-
-    def _take(self, workspace: Workspace, data: ReportData | None) -> None:
-        """Draw the plots of the data, and the parameters in force, unless another workspace was opened meanwhile."""
-        if workspace is not self._shown:
-            return
-        charts: list[Chart] = []
-        if data is not None:
-            shown = data.calibrate if data.discover is None else with_effects(data.calibrate, data.discover)
-            charts = [stop_error_chart(name, arm, shown.arms[name].tracker_mm) for name, arm in data.held_out.items()]
-            charts.append(pair_stop_chart(shown))
-            parts = parameters_view(values_in_force(data.calibrate, data.model)).parts
-            self.tab("Parameters").show(parts, self.outdated(CALIBRATE, "go", "calibrates again"))
-        self.tab("Errors").show(charts)
+    def _show_errors(self, data: ReportData) -> None:
+        """Draw the held-out errors of the newest model, and the parameters in force."""
+        shown = data.calibrate if data.discover is None else with_effects(data.calibrate, data.discover)
+        charts = [stop_error_chart(name, arm, shown.arms[name].tracker_mm) for name, arm in data.held_out.items()]
+        self.tab("Errors").show([*charts, pair_stop_chart(shown)])
+        parts = parameters_view(values_in_force(data.calibrate, data.model)).parts
+        self.tab("Parameters").show(parts, self.outdated(CALIBRATE, "go", "calibrates again"))

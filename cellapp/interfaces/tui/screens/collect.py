@@ -5,14 +5,14 @@ The headline of the screen Collect: the state, and what can be done now. Draws n
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
 from pathlib import Path
 from typing import ClassVar, Literal, get_args
 
-from textual import on, work
+from textual import on
 from textual.app import ComposeResult
 from textual.binding import BindingType
 from textual.containers import Container, Horizontal
@@ -20,7 +20,6 @@ from textual.content import Content
 from textual.events import Resize
 from textual.widgets import Static
 
-from cellapp.cell.run import RunFile
 from cellapp.commands.collect.charts import (
     drift_chart,
     live_drift_chart,
@@ -32,11 +31,9 @@ from cellapp.commands.collect.charts import (
 from cellapp.commands.collect.request import VERB as COLLECT
 from cellapp.commands.collect.view import collection_tables
 from cellapp.commands.docs.keys import KEYS, SHOWN
-from cellapp.commands.show.overview import run_log
 from cellapp.commands.view.charts import Chart
 from cellapp.ground.control import Request
 from cellapp.ground.counting import counted
-from cellapp.ground.errors import CellappError
 from cellapp.ground.progress import JobState
 from cellapp.interfaces.tui import verb_jobs as jobs
 from cellapp.interfaces.tui.dialogs.question import BEGIN, Choice
@@ -275,33 +272,6 @@ class CollectScreen(DayScreen):
         """Show a level of the log and the more important ones."""
         self.query_one(LogPane).show_from(level_of(level))
 
-    # -- the stored log ------------------------------------------------------------------------------------------------
-
-    @work(thread=True, exclusive=True, group="stored log")
-    def _read_log(self, folder: Path) -> None:
-        try:
-            with RunFile.open(folder) as run:
-                lines = run_log(run).lines
-        except CellappError as error:
-            self.call_later(self._show_stored, folder, (), str(error))
-            return
-        rows = [
-            LogRow(datetime.fromisoformat(line.written).astimezone(), level_of(line.level), line.text) for line in lines
-        ]
-        self.call_later(self._show_stored, folder, rows)
-
-    def _show_stored(self, folder: Path, rows: Sequence[LogRow], problem: str = "") -> None:
-        """Draw the log stored in a run, if it is still wanted."""
-        pane = self.query_one(LogPane)
-        if folder != self.workspace.folder or self.cell_app.jobs.running:
-            return
-        if problem:
-            self.say(problem, "warning")
-        elif rows:
-            pane.show(f"Log stored in {folder.name}", rows)
-        else:
-            pane.show_session(self.cell_app.record)
-
     # -- drawing -------------------------------------------------------------------------------------------------------
 
     def show_workspace(self, workspace: Workspace) -> None:
@@ -310,8 +280,18 @@ class CollectScreen(DayScreen):
         if workspace.folder != self._opened and not self.cell_app.jobs.running:
             self._opened = workspace.folder
             self.action_view(self._first_view)
-            if workspace.folder is not None:
-                self._read_log(workspace.folder)
+            self._show_log(workspace)
+
+    def _show_log(self, workspace: Workspace) -> None:
+        """Draw the log stored in a run; that of this session if the run has none."""
+        rows = [
+            LogRow(datetime.fromisoformat(line.written).astimezone(), level_of(line.level), line.text)
+            for line in workspace.log
+        ]
+        if rows and workspace.folder is not None:
+            self.query_one(LogPane).show(f"Log stored in {workspace.folder.name}", rows)
+        else:
+            self.query_one(LogPane).show_session(self.cell_app.record)
 
     def show_run(self, workspace: Workspace) -> None:
         """Draw the tables of what was collected."""
