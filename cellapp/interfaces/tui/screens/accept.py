@@ -115,10 +115,6 @@ class AcceptScreen(TabsScreen):
         if (calibrated := self.calibrated_run()) is not None:
             self.start(verb_jobs.job_of(REPORT, folder=calibrated[0]))
 
-    def tab_shown(self, tabs: TabbedContent) -> None:
-        """Let the keys scroll the parts of the tab."""
-        self.call_after_refresh(tabs.query_one(f"#{tabs.active} PartsView").focus)
-
     def show_tab(self, title: str) -> None:
         """Show a tab."""
         tabs = self.query_one(TabbedContent)

@@ -201,7 +201,10 @@ class DayScreen(Screen[None]):
         self.tab_shown(tabs)
 
     def tab_shown(self, tabs: TabbedContent) -> None:
-        """Focus the content of the tab that the key has shown."""
+        """Let the keys go through the content of the tab that is shown now."""
+        if tabs.active_pane is not None:
+            for content in tabs.active_pane.query("DataTable, PartsView"):
+                self.call_after_refresh(content.focus)
 
     def show_runs(self) -> None:
         """List all runs; only the screen Cell does."""

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
-from rich.text import Text
 from textual import on
 from textual.app import ComposeResult
 from textual.binding import BindingType
-from textual.widgets import DataTable, Static, TabbedContent, TabPane
+from textual.widgets import TabbedContent, TabPane
 
 from cellapp.commands.docs.keys import SHOWN
 from cellapp.commands.export.request import VERB as EXPORT
 from cellapp.commands.plan.request import VERB as PLAN
+from cellapp.commands.view.table import Table, columns_of
 from cellapp.ground.counting import counted
 from cellapp.interfaces.tui import verb_jobs as verbs
 from cellapp.interfaces.tui.keys import bind
@@ -22,11 +23,12 @@ from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.controls import Line
 from cellapp.interfaces.tui.widgets.parts_view import PartsView
-from cellapp.interfaces.tui.widgets.tables import CellMap, StopsTable, explain_tabs
+from cellapp.interfaces.tui.widgets.tables import CellMap, TextTable, explain_tabs
 from cellapp.interfaces.tui.workspace import Step, Workspace, new_folder
 
 if TYPE_CHECKING:
     from cellapp.cell.driving.records import PlannedStop
+    from cellapp.cell.planning.planned_stops import PlannedStops
     from cellapp.cell.planning.records import PlanCheckResult, PlanForecastResult
     from cellapp.ground.results import Result
 
@@ -58,6 +60,7 @@ class PlanScreen(DayScreen):
     def __init__(self) -> None:
         super().__init__()
         self._planned: tuple[object, ...] = ()
+        self._listed: Workspace | None = None
         self._check: PlanCheckResult | None = None
         self._forecast: PlanForecastResult | None = None
         self._file_check: PlanCheckResult | None = None
@@ -72,7 +75,7 @@ class PlanScreen(DayScreen):
             with TabPane("Design", id="tab-design"):
                 yield PartsView(id="plan-design")
             with TabPane("Stops", id="tab-stops"):
-                yield StopsTable(id="stops")
+                yield TextTable(id="stops", cursor_type="row")
             with TabPane("Forecast", id="tab-forecast"):
                 yield PartsView(_NO_FORECAST, id="forecast")
             with TabPane("Check", id="tab-check"):
@@ -81,7 +84,6 @@ class PlanScreen(DayScreen):
                 yield CellMap("above", id="plan-above")
             with TabPane("Tracker", id="tab-tracker"):
                 yield CellMap("tracker", id="plan-tracker")
-        yield Static("", id="plan-detail", markup=False)
 
     def on_mount(self) -> None:
         """Explain the tabs."""
@@ -136,12 +138,6 @@ class PlanScreen(DayScreen):
         if folder := self.planned_folder():
             self.start(verbs.forecast_plan(folder))
 
-    def tab_shown(self, tabs: TabbedContent) -> None:
-        """Focus the stops or the tables of the tab."""
-        if tabs.active_pane is not None:
-            for content in tabs.active_pane.query("StopsTable, PartsView"):
-                content.focus()
-
     # -- drawing -------------------------------------------------------------------------------------------------------
 
     def show_result(self, result: Result) -> None:
@@ -179,6 +175,7 @@ class PlanScreen(DayScreen):
         for drawn in self.query(CellMap):
             drawn.show_cell(workspace.profile, _stops_of(workspace))
         self.query_one("#plan-design", PartsView).show(() if workspace.stops is None else design_parts(workspace.stops))
+        self._list_stops()
         self._draw_results()
 
     def show_state(self, state: RunState) -> None:
@@ -201,7 +198,6 @@ class PlanScreen(DayScreen):
         line = self.query_one("#plan-time", Line)
         line.say(words)
         line.display = bool(words)
-        self._draw_detail()
 
     def _draw_check(self, *, has_plan: bool) -> None:
         """Draw the verdict on the open run's plan, and the refusals of this plan or of the last checked edited plan."""
@@ -214,15 +210,26 @@ class PlanScreen(DayScreen):
         listed = self._file_check or check
         self.query_one("#refusals", PartsView).show(() if listed is None else _check_lines(listed))
 
-    @on(DataTable.RowHighlighted)
     @on(TabbedContent.TabActivated)
-    def _draw_detail(self) -> None:
-        """List the stops and describe the selected one while their tab is shown: thousands take half a second."""
-        detail, table = self.query_one("#plan-detail", Static), self.query_one(StopsTable)
-        detail.display = self.query_one("#plan-tabs", TabbedContent).active == "tab-stops"
-        if detail.display:
-            table.show(_stops_of(self.workspace), self.workspace.ways)
-        detail.update(Text(table.selected_text))
+    def _list_stops(self) -> None:
+        """List the stops while their tab is shown: words for thousands take half a second."""
+        if self._listed is not self.workspace and self.query_one("#plan-tabs", TabbedContent).active == "tab-stops":
+            self._listed, table = self.workspace, self.query_one(TextTable)
+            table.show(_stops_table(_stops_of(self.workspace), self.workspace.ways), table.cursor_row)
+
+
+def _stops_table(stops: Sequence[PlannedStop], ways: PlannedStops | None) -> Table:
+    """Return the stops, counted from 1: how each is reached and what it is for, and its joint positions."""
+    from cellapp.commands.plan.check_view import stop_words
+
+    rows = []
+    for stop in stops if ways is not None else ():
+        at = stop.configuration
+        joints = (", ".join(f"{math.degrees(angle):z.0f}" for angle in q) for q in stop.q.values())
+        frozen, state = "frozen" if ways.frozen[at] else "", "measured" if stop.measured else "planned"
+        rows.append((at + 1, state, frozen, str(ways.block[at] + 1), stop_words(ways, at), *joints))
+    angles = [f"{name} [deg]" for name in stops[0].q] if stops else []
+    return Table("Stops", columns_of(("stop", "d"), "state", "frozen", "part", "how", *angles), tuple(rows))
 
 
 def _stops_of(workspace: Workspace) -> Sequence[PlannedStop]:
