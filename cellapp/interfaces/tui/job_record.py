@@ -209,20 +209,6 @@ class TrackerRecord:
     sweep: SweepLive | None = None
 
 
-@dataclass(frozen=True)
-class Pace:
-    """Times of the first and the last event of a part of a job [s, monotonic], and its number of steps at the first."""
-
-    began_s: float
-    began_done: int
-    heard_s: float
-
-    def per_minute(self, done: int) -> float | None:
-        """Return the steps per minute since the beginning; None before the first step."""
-        seconds = self.heard_s - self.began_s
-        return None if done <= self.began_done or seconds <= 0.0 else 60.0 * (done - self.began_done) / seconds
-
-
 @dataclass
 class JobRecord:
     """State of one job, reduced from its events. Only the thread of the screens writes and reads it.
@@ -243,8 +229,8 @@ class JobRecord:
         Why the job is in its state, in a sentence; may be empty.
     since : datetime
         When it entered its state.
-    paces : dict
-        Part -> times of its events, and its speed.
+    heard_s : dict
+        Part -> time of its newest event [s, monotonic].
     progress : dict
         Part -> its newest event; the part that reported last is the last one.
     arms : dict
@@ -274,7 +260,7 @@ class JobRecord:
     watched: bool = False
     part: str = ""
     since: datetime = field(default_factory=datetime.now)
-    paces: dict[str, Pace] = field(default_factory=dict)
+    heard_s: dict[str, float] = field(default_factory=dict)
     progress: dict[str, Progress] = field(default_factory=dict)
     arms: dict[str, ArmRecord] = field(default_factory=dict)
     tracker: TrackerRecord = field(default_factory=TrackerRecord)
@@ -302,7 +288,7 @@ class JobRecord:
         self.watched, self.part = watched, part
         self.name, self.state, self.reason, self.tracker = name, "running", "", TrackerRecord()
         self.since = datetime.now()
-        for kept in (self.progress, self.paces, self.arms, self.stops, self.references, self.suspicions):
+        for kept in (self.progress, self.heard_s, self.arms, self.stops, self.references, self.suspicions):
             kept.clear()
         self.causes, self.lost = (), ()
         self.changes += 1
@@ -338,8 +324,7 @@ class JobRecord:
         """Process one event."""
         if event.job == self.part:
             event = replace(event, job=self.name)
-        now_s, pace = time.monotonic(), self.paces.get(event.job)
-        self.paces[event.job] = Pace(now_s, event.done, now_s) if pace is None else replace(pace, heard_s=now_s)
+        self.heard_s[event.job] = time.monotonic()
         before = self.progress.pop(event.job, None)  # reinserted below: the newest part is the last one
         if before is not None and event.detail is not None and not event.note:
             self.progress[event.job] = replace(event, note=before.note)  # the note of a step stays until the next step

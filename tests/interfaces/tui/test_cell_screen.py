@@ -74,7 +74,7 @@ async def test_failed_checks_come_first_and_are_read_in_full() -> None:
         app.draw_all()
         await pilot.pause()
         assert line(app, "cell-verdict").startswith("1 check failed (1 warning): arm left: link. Checked at ")
-        listed = app.day_screen.query_one("#findings")
+        listed = app.day_screen.query_one("#tab-doctor PartsView")
         await until(pilot, lambda: len(listed.children) == len(found.findings), "the checks")
         first = " ".join(str(listed.query(Static).first().render()).split())
         assert first == f"failed arm left: link: {long}".strip()
@@ -203,7 +203,7 @@ def edits(cell: CellApp, monkeypatch: pytest.MonkeyPatch, before: str, after: st
 
 def said(cell: CellApp) -> list[str]:
     """The lines of the tab Profile."""
-    return [str(one.render()) for one in cell.day_screen.query("#cell-words Static").results(Static)]
+    return [str(one.render()) for one in cell.day_screen.query("#tab-profile PartsView Static").results(Static)]
 
 
 @pytest.mark.parametrize("size", [SIZES[0], SIZES[1]])

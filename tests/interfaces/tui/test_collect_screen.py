@@ -136,7 +136,7 @@ async def test_stops_that_were_planned_since_are_offered() -> None:
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
         await show_collect(pilot, app, run)
-        await shows(pilot, "1 MORE STOPS  3 are measured; b measures those that were planned since.")
+        await shows(pilot, "READY, 1 stop  b measures 1 stop that is left")
 
 
 def drifted_run(folder: Path, drift_m: float) -> Path:

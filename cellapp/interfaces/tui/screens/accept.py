@@ -25,7 +25,7 @@ from cellapp.ground.results import CALIBRATE, CERTIFICATE, CHECK, ISO9283, Stage
 from cellapp.interfaces.tui import verb_jobs
 from cellapp.interfaces.tui.dialogs.question import ChosenAnswer
 from cellapp.interfaces.tui.keys import bind, with_keys
-from cellapp.interfaces.tui.run_state import COPY_IT, RunState
+from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.tabs import TabsScreen, id_of
 from cellapp.interfaces.tui.widgets.controls import Line
 from cellapp.interfaces.tui.widgets.parts_view import words_first
@@ -129,8 +129,7 @@ class AcceptScreen(TabsScreen):
         for title, empty in (("Check", _NOT_CHECKED), ("ISO 9283", _NOT_TESTED), ("Certificate", _NO_CERTIFICATE)):
             needs = {"Check": state.not_calibrated, "Certificate": state.no_run}.get(title, "")
             busy = state.nothing(self.STEP, "") if state.job is not None and state.job.step == self.STEP else ""
-            locked = COPY_IT if state.workspace.read_only else ""
-            self.tab(title).say_empty(busy or needs or locked or empty)
+            self.tab(title).say_empty(busy or needs or empty)
         decision, sentence = "", state.no_run
         if self.workspace.verdict is not None:
             verdict, _ = self.workspace.verdict

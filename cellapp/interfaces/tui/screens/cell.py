@@ -21,7 +21,6 @@ from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.keys import bind
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.controls import Line
-from cellapp.interfaces.tui.widgets.parts_view import PartsView
 from cellapp.interfaces.tui.widgets.tables import CellMap, explain_tabs
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
@@ -29,6 +28,7 @@ if TYPE_CHECKING:
     from cellapp.commands.doctor.result import DoctorResult
     from cellapp.ground.profile import Profile
     from cellapp.ground.results import Result
+    from cellapp.interfaces.tui.widgets.parts_view import PartsView
     from cellapp.interfaces.tui.widgets.runs_list import RunsList
 
 _NOT_CHECKED = f"Not checked yet: {SHOWN['go']} asks the doctor; nothing moves."
@@ -66,10 +66,8 @@ class CellScreen(DayScreen):
             with Vertical(id="cell-middle"):
                 yield Line(id="cell-verdict")
                 with TabbedContent(id="cell-tabs", initial="tab-profile"):
-                    with TabPane("Profile", id="tab-profile"):
-                        yield PartsView(id="cell-words")
-                    with TabPane("Doctor", id="tab-doctor"):
-                        yield PartsView(_NOT_CHECKED, id="findings")
+                    yield TabPane("Profile", id="tab-profile")
+                    yield TabPane("Doctor", id="tab-doctor")
                     with TabPane("Map", id="tab-map"):
                         yield CellMap("above", id="cell-map")
                     yield TabPane("Runs", id="tab-runs")
@@ -195,10 +193,19 @@ class CellScreen(DayScreen):
             self._show_findings(result)
             self.query_one("#cell-tabs", TabbedContent).active = "tab-doctor"
 
+    def _parts(self, tab: str) -> PartsView:
+        """Return the parts of a tab. Their first use loads numerics, which the start must not wait for."""
+        from cellapp.interfaces.tui.widgets.parts_view import PartsView
+
+        pane = self.query_one(f"#tab-{tab}", TabPane)
+        if not pane.query(PartsView):
+            pane.mount(PartsView(_NOT_CHECKED if tab == "doctor" else ""))
+        return pane.query_one(PartsView)
+
     def _show_findings(self, result: DoctorResult) -> None:
         """Show every check, failed ones first."""
         ordered = sorted(result.findings, key=lambda finding: _ORDER[finding.status])
-        self.query_one("#findings", PartsView).show(DOCTOR.view(result.model_copy(update={"findings": ordered})).parts)
+        self._parts("doctor").show(DOCTOR.view(result.model_copy(update={"findings": ordered})).parts)
 
     # -- drawing -------------------------------------------------------------------------------------------------------
 
@@ -219,16 +226,15 @@ class CellScreen(DayScreen):
             self._runs.action_read()
         if workspace.profile != self._doctor_profile and workspace.profile_path != self._doctor_path:
             self._doctor = self._doctor_profile = None
-            self.query_one("#findings", PartsView).show(())
+            self._parts("doctor").show(())
 
     def _show_profile(self, profile: Profile | None, problem: str) -> None:
-        words = self.query_one("#cell-words", PartsView)
         if profile is not None:
             from cellapp.commands.doctor.view import profile_tables
 
-            words.show(profile_tables(profile))
-        else:
-            words.show(problem.splitlines())
+            self._parts("profile").show(profile_tables(profile))
+        elif problem:
+            self._parts("profile").show(problem.splitlines())
             self.query_one("#cell-tabs", TabbedContent).active = "tab-profile"
 
     def _verdict(self) -> tuple[str, str]:

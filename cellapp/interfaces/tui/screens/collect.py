@@ -17,7 +17,6 @@ from textual.app import ComposeResult
 from textual.binding import BindingType
 from textual.containers import Container, Horizontal
 from textual.content import Content
-from textual.events import Resize
 from textual.widgets import Static
 
 from cellapp.commands.collect.charts import (
@@ -40,7 +39,7 @@ from cellapp.interfaces.tui.dialogs.question import BEGIN, Choice
 from cellapp.interfaces.tui.job_record import LEVELS, ArmRecord, JobRecord, LogRow, level_of
 from cellapp.interfaces.tui.jobs import Job
 from cellapp.interfaces.tui.keys import bind
-from cellapp.interfaces.tui.run_state import COPY_IT, RunState, holds_for_drift
+from cellapp.interfaces.tui.run_state import RunState, holds_for_drift
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.terminal import since_words
 from cellapp.interfaces.tui.widgets.arm_panel import ArmPanel, TrackerPanel
@@ -49,7 +48,6 @@ from cellapp.interfaces.tui.widgets.collected_stops import CollectedStops
 from cellapp.interfaces.tui.widgets.controls import Line
 from cellapp.interfaces.tui.widgets.log_pane import LogPane
 from cellapp.interfaces.tui.widgets.parts_view import PartsView
-from cellapp.interfaces.tui.widgets.progress_bars import ProgressBars, parts_of
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
 Look = Literal["idle", "running", "waiting", "halted", "done"]
@@ -98,44 +96,32 @@ def headline(run: RunState, record: JobRecord, request: Request) -> Headline:
 
 
 def _of_run(state: RunState) -> Headline:
+    cell, todo, measured = state.workspace, state.remaining, state.measured
     if state.no_run:
-        return Headline("NO CELL" if state.stored == "no cell" else "NO RUN", state.no_run, "idle")
+        return Headline("NO RUN", state.no_run, "idle")
     if state.reading:
         return Headline("READING", state.reading, "idle")
-    if state.workspace.in_use:
-        return Headline(
-            "IN USE", f"by {state.workspace.in_use}. Shown is what was stored when it was opened.", "waiting"
-        )
-    word, sentence, look = _of_stops(state)
-    if state.workspace.read_only:
-        sentence = COPY_IT
-    elif state.workspace.drifts and state.remaining:
-        sentence = f"The references moved beyond their limit: {SHOWN['drift']} accepts that and resumes. {sentence}"
-    return Headline(word, sentence, look)
-
-
-def _of_stops(state: RunState) -> tuple[str, str, Look]:
-    go, on, todo, measured = SHOWN["go"], f"{SHOWN['next']} goes to the next step", state.remaining, state.measured
+    if cell.in_use:
+        return Headline("IN USE", f"by {cell.in_use}. Shown is what was stored when it was opened.", "waiting")
     if not todo and not measured:
-        return "NO PLAN", f"This run has no stops to measure: keys 2, {go} plan a run.", "idle"
+        return Headline("NO PLAN", "This run has no stops to measure.", "idle")
     if not todo:
-        return f"COMPLETE, {counted(measured, 'stop')}", f"{on}.", "done"
-    if not measured:
-        return f"READY, {counted(todo, 'stop')}", f"{go} begins. Nothing moves before it is confirmed.", "idle"
-    if state.workspace.outcome == "accurate enough":
-        sentence = f"{on}; {go} measures the {counted(todo, 'stop')} that are left."
-        return f"ACCURATE ENOUGH, {measured} of {counted(measured + todo, 'stop')}", sentence, "idle"
-    if state.workspace.outcome == "complete":
-        return (f"{todo} MORE STOPS", f"{measured} are measured; {go} measures those that were planned since.", "idle")
-    sentence = f"{go} measures the {counted(todo, 'stop')} that are left."
-    return f"INTERRUPTED, {measured} of {counted(measured + todo, 'stop')}", sentence, "idle"
+        return Headline(f"COMPLETE, {counted(measured, 'stop')}", "Nothing is left to measure.", "done")
+    left = counted(todo, "stop that is left", "stops that are left")
+    sentence = f"{SHOWN['go']} measures {left}. Nothing moves before it is confirmed."
+    if cell.read_only:
+        sentence = f"{state.next_words}."
+    elif cell.drifts:
+        sentence = f"The references moved beyond their limit: {SHOWN['drift']} accepts that and resumes. {sentence}"
+    if not measured or cell.outcome == "complete":  # others were planned since
+        return Headline(f"READY, {counted(todo, 'stop')}", sentence, "idle")
+    word = "ACCURATE ENOUGH" if cell.outcome == "accurate enough" else "INTERRUPTED"
+    return Headline(f"{word}, {measured} of {counted(measured + todo, 'stop')}", sentence, "idle")
 
 
 View = Literal["log", "plots", "stops", "collected"]
 _VIEWS: tuple[View, ...] = get_args(View)
 _PLOTS = ("residuals", "errors", "drift", "sweep")
-_TALL = 50
-"""Smallest number of lines of a terminal with one line for each part of a day."""
 _PLOTTING_S = 0.2
 """Interval between the drawings of two plots: a stop takes seconds, and a plot on a large screen about 10 ms."""
 
@@ -144,7 +130,6 @@ class CollectScreen(DayScreen):
     """Drive and measure; watch it; resume it."""
 
     STEP: ClassVar[Step] = "collect"
-    SHOWS_JOB: ClassVar[bool] = False
     VERTICAL_BREAKPOINTS = [(0, "-low"), (34, "-tall")]  # noqa: RUF012 - as Textual declares it
     BINDINGS: ClassVar[list[BindingType]] = [
         bind("go", "begin", "Begin", "measure the stops that are left: THE ARMS MOVE"),
@@ -171,7 +156,6 @@ class CollectScreen(DayScreen):
         yield Line(id="state")
         yield Horizontal(id="arms")
         yield TrackerPanel()
-        yield ProgressBars()
         yield Static("", id="suspicions", markup=False)
         with Container(id="plots"):
             for name in _PLOTS:
@@ -188,10 +172,6 @@ class CollectScreen(DayScreen):
             plot.tooltip = "Errors of the newest points, standard errors, drift of the references, the newest sweep."
         self.query_one(f"#{_PLOTS[0]}").add_class("chosen")
         self.query_one(LogPane).view.focus()
-
-    def on_resize(self, event: Resize) -> None:
-        """Use one line for all parts in a low terminal."""
-        self.query_one(ProgressBars).compact = event.size.height < _TALL
 
     # -- begin, resume, accept -----------------------------------------------------------------------------------------
 
@@ -316,8 +296,6 @@ class CollectScreen(DayScreen):
             record = JobRecord()  # the job was about another run
         self._draw_arms(record)
         self.query_one(TrackerPanel).tracker = record.tracker
-        told = running or "collect" in record.progress  # the result of another finished job is on its own screen
-        self.query_one(ProgressBars).parts = parts_of(record) if told else ()
         self._draw_suspicions(record)
         self.set_class(record.state is None and not record.arms, "unheard")
         self._draw_plots(record)
@@ -408,4 +386,4 @@ class CollectScreen(DayScreen):
                 collection.stops, self._arm_names(record), self.query_one(CollectedStops).chosen
             )
         draw = live_residual_chart if name == "residuals" else standard_error_chart
-        return draw(reports, self._arm_names(record), self.state.residuals_words)
+        return draw(reports, self._arm_names(record), self.state.not_collected)

@@ -253,7 +253,7 @@ def _state_words(state: RunState, workspace: Workspace) -> str:
         return NO_PLAN
     reserves = len(_stops_of(workspace)) - state.planned
     more = f" and {reserves} in reserve" if reserves else ""
-    now = state.measured if state.collecting else 0
+    now = 0 if state.job is None else state.job.stops or 0
     arms = [
         f"arm {name}: {counted(arm.planned, 'stop')}{more}, {max(arm.measured, now)} measured"
         for name, arm in workspace.overview.arms.items()
