@@ -52,7 +52,7 @@ async def shown_log(pilot: Pilot[None], app: CellApp, rows: list[LogRow]) -> Log
 
 
 MANY = [
-    LogRow(NOON + timedelta(seconds=number), LEVELS[number % 4], f"event {number}, {'left' if number % 3 else 'right'}")
+    LogRow(NOON + timedelta(seconds=number), LEVELS[number % 3], f"event {number}, {'left' if number % 3 else 'right'}")
     for number in range(400)
 ]
 

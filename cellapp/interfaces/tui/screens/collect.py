@@ -29,14 +29,14 @@ from cellapp.commands.collect.charts import (
 )
 from cellapp.commands.collect.request import VERB as COLLECT
 from cellapp.commands.collect.view import collection_tables
-from cellapp.commands.docs.keys import KEYS, SHOWN
+from cellapp.commands.docs.keys import SHOWN
 from cellapp.commands.view.charts import Chart
 from cellapp.ground.control import Request
 from cellapp.ground.counting import counted
 from cellapp.ground.progress import JobState
 from cellapp.interfaces.tui import verb_jobs as jobs
 from cellapp.interfaces.tui.dialogs.question import BEGIN, Choice
-from cellapp.interfaces.tui.job_record import LEVELS, ArmRecord, JobRecord, LogRow, level_of
+from cellapp.interfaces.tui.job_record import ArmRecord, JobRecord, LogRow, level_of
 from cellapp.interfaces.tui.jobs import Job
 from cellapp.interfaces.tui.keys import bind
 from cellapp.interfaces.tui.run_state import RunState, holds_for_drift
@@ -139,7 +139,6 @@ class CollectScreen(DayScreen):
         bind("tab", "next_tab", "Next tab", "from the log to the plots, the stops, the tables"),
         bind("after", "step(1)", "Next stop", "go to the next stop of the list", show=False),
         bind("before", "step(-1)", "Stop before", "go to the stop before", show=False),
-        *(bind(level, f"least('{level}')", f"Log: {level}", KEYS[level].meaning, show=False) for level in LEVELS),
     ]
 
     def __init__(self) -> None:
@@ -248,10 +247,6 @@ class CollectScreen(DayScreen):
         """Go to another stop of the list."""
         self.query_one(CollectedStops).step(step)
 
-    def action_least(self, level: str) -> None:
-        """Show a level of the log and the more important ones."""
-        self.query_one(LogPane).show_from(level_of(level))
-
     # -- drawing -------------------------------------------------------------------------------------------------------
 
     def show_workspace(self, workspace: Workspace) -> None:
@@ -338,7 +333,7 @@ class CollectScreen(DayScreen):
         if record.suspicions:
             newest = record.suspicions[-1]
             before = len(record.suspicions) - 1
-            more = f" ({before} before: {SHOWN['warning']} shows them)" if before else ""
+            more = f" ({before} before: {SHOWN['filter']} in the log shows them)" if before else ""
             arm = "" if newest.arm is None else f", arm {newest.arm}"
             box.update(f"! {newest.kind.upper()}{arm}: {newest.text}{more}")
 

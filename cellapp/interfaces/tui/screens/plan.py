@@ -15,6 +15,8 @@ from textual.widgets import TabbedContent, TabPane
 from cellapp.commands.docs.keys import SHOWN
 from cellapp.commands.export.request import VERB as EXPORT
 from cellapp.commands.plan.request import VERB as PLAN
+from cellapp.commands.show.request import VERB as SHOW
+from cellapp.commands.show.result import Shown
 from cellapp.commands.view.table import Table, columns_of
 from cellapp.ground.counting import counted
 from cellapp.interfaces.tui import verb_jobs as verbs
@@ -131,12 +133,12 @@ class PlanScreen(DayScreen):
     def action_check(self) -> None:
         """Check the plan of the open run."""
         if folder := self.planned_folder():
-            self.start(verbs.check_plan(folder))
+            self.start(verbs.job_of(SHOW, folder=folder, part="plan", check=True))
 
     def action_forecast(self) -> None:
         """Forecast the results of the open run's plan."""
         if folder := self.planned_folder():
-            self.start(verbs.forecast_plan(folder))
+            self.start(verbs.job_of(SHOW, folder=folder, part="plan", forecast=True))
 
     # -- drawing -------------------------------------------------------------------------------------------------------
 
@@ -145,6 +147,7 @@ class PlanScreen(DayScreen):
         from cellapp.cell.planning.records import PlanCheckResult, PlanForecastResult
 
         tabs = self.query_one("#plan-tabs", TabbedContent)
+        result = result.result if isinstance(result, Shown) and result.result is not None else result
         if isinstance(result, PlanCheckResult) and result.file is not None:
             self._file_check = result
             tabs.active = "tab-check"
