@@ -606,18 +606,21 @@ class CellApp(JobKeys):
         if self.record.changes == self._drawn:
             return
         self._drawn = self.record.changes
-        with contextlib.suppress(NoMatches, StopIteration):
-            if (screen := self._made_screen) is not None:
-                screen.draw_state()
-                screen.show_job(self.record)
+        self._draw_job()
         if self.record.state != state:
             self._say_state()
 
     def _tick(self) -> None:
-        """Update the remaining time."""
+        """Update the remaining time, and what is drawn more seldom than events come."""
+        if self.jobs.running:
+            self._draw_job()
+
+    def _draw_job(self) -> None:
+        """Draw the state and the job on the current screen."""
         with contextlib.suppress(NoMatches, StopIteration):
-            if self.jobs.running and (screen := self._made_screen) is not None:
+            if (screen := self._made_screen) is not None:
                 screen.draw_state()
+                screen.show_job(self.record)
 
     def _say_state(self) -> None:
         """Show a new state of the job in the message line."""

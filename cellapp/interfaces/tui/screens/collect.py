@@ -5,10 +5,10 @@ The headline of the screen Collect: the state, and what can be done now. Draws n
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import datetime
-from functools import partial
 from pathlib import Path
 from typing import ClassVar, Literal, get_args
 
@@ -122,8 +122,8 @@ def _of_run(state: RunState) -> Headline:
 View = Literal["log", "plots", "stops", "collected"]
 _VIEWS: tuple[View, ...] = get_args(View)
 _PLOTS = ("residuals", "errors", "drift", "sweep")
-_PLOTTING_S = 0.2
-"""Interval between the drawings of two plots: a stop takes seconds, and a plot on a large screen about 10 ms."""
+_PLOTTING_S = 1.0
+"""Least time between two drawings of the plots while a job runs: they take some 10 ms each on a large screen."""
 
 
 class CollectScreen(DayScreen):
@@ -144,8 +144,8 @@ class CollectScreen(DayScreen):
     def __init__(self) -> None:
         super().__init__()
         self._plot = 0
-        self._plotted: dict[str, tuple[object, ...]] = {}
-        self._plot_waits = False
+        self._plotted: tuple[object, ...] = ()
+        self._plotted_s = 0.0
         self._opened: Path | None = None
         self._job: Job | None = None
         self._suspicions = 0
@@ -338,20 +338,14 @@ class CollectScreen(DayScreen):
             box.update(f"! {newest.kind.upper()}{arm}: {newest.text}{more}")
 
     def _draw_plots(self, record: JobRecord) -> None:
-        """Draw the plots with new data; while a job runs, one at a time, because drawing delays keys."""
-        if self._plot_waits:
+        """Draw the plots of new data; while a job runs once a second at most, because drawing delays keys."""
+        reports, chosen = sum(map(len, record.stops.values())), self.query_one(CollectedStops).chosen
+        data, now_s = (record.name, reports, len(record.references), self.workspace, chosen), time.monotonic()
+        if data == self._plotted or (record.state is not None and now_s < self._plotted_s + _PLOTTING_S):
             return
-        chosen = self.query_one(CollectedStops).chosen
-        stops = (record.name, sum(map(len, record.stops.values())), len(record.references), self.workspace, chosen)
-        oldest_first = (*(name for name in _PLOTS if name not in self._plotted), *self._plotted)
-        for name in (name for name in oldest_first if self._plotted.get(name) != stops):
+        self._plotted, self._plotted_s = data, now_s
+        for name in _PLOTS:
             self.query_one(f"#{name}", ChartPlot).chart = self._chart(name, record)
-            self._plotted.pop(name, None)
-            self._plotted[name] = stops  # now the newest
-            if record.state is not None:
-                self._plot_waits = True
-                self.set_timer(_PLOTTING_S, partial(self._draw_next_plot, record))
-                break
         empty = {plot: plot.chart is None or plot.chart.is_empty for plot in self.query(ChartPlot)}
         for plot, nothing in empty.items():
             plot.set_class(nothing, "empty")
@@ -361,10 +355,6 @@ class CollectScreen(DayScreen):
     def mark_chosen(self) -> None:
         """Mark the stop under the cursor in the plot of the residuals."""
         self.show_job(self.cell_app.record)
-
-    def _draw_next_plot(self, record: JobRecord) -> None:
-        self._plot_waits = False
-        self._draw_plots(record)
 
     def _chart(self, name: str, record: JobRecord) -> Chart:
         """Return a chart of the job, or of the stored data if the job has no stop or no reference."""
