@@ -17,7 +17,7 @@ from cellapp.commands.export.request import VERB as EXPORT
 from cellapp.commands.plan.request import VERB as PLAN
 from cellapp.commands.show.request import VERB as SHOW
 from cellapp.commands.show.result import Shown
-from cellapp.commands.view.table import Table, columns_of
+from cellapp.commands.view.table import Cell, Table, columns_of
 from cellapp.ground.counting import counted
 from cellapp.interfaces.tui import verb_jobs as verbs
 from cellapp.interfaces.tui.keys import bind
@@ -225,8 +225,9 @@ def _stops_table(stops: Sequence[PlannedStop], ways: PlannedStops | None) -> Tab
     """Return the stops, counted from 1: how each is reached and what it is for, and its joint positions."""
     from cellapp.commands.plan.check_view import stop_words
 
-    rows = []
-    for stop in stops if ways is not None else ():
+    rows: list[tuple[Cell, ...]] = []
+    for stop in stops:
+        assert ways is not None  # a run with stops has them
         at = stop.configuration
         joints = (", ".join(f"{math.degrees(angle):z.0f}" for angle in q) for q in stop.q.values())
         frozen, state = "frozen" if ways.frozen[at] else "", "measured" if stop.measured else "planned"
