@@ -21,7 +21,7 @@ from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache, partial
 from importlib import resources
 from importlib.metadata import version
@@ -34,7 +34,7 @@ from pydantic import TypeAdapter
 from pydantic_core import to_jsonable_python
 
 from cellapp.ground.errors import CellappError, CheckFailed, InputError
-from cellapp.ground.progress import JobToken
+from cellapp.ground.progress import UNATTENDED, JobToken
 from cellapp.ground.threads import one_blas_thread
 from cellapp.ground.version import __version__
 
@@ -67,7 +67,7 @@ class PoolWork:
     jobs: int | None = 1
     scheduler: str | None = None
     results: Path | None = None
-    job: JobToken = field(default_factory=JobToken)
+    job: JobToken = UNATTENDED
 
 
 @dataclass(frozen=True)

@@ -403,12 +403,26 @@ class JobToken:
             raise Cancelled("stopped on request")
 
 
+class UnattendedJob(JobToken):
+    """A job that nobody follows or ends; the same for all calls without a job, so that none may end it for others."""
+
+    def tell(self, job: str, done: int, total: int, note: str = "", detail: Detail | None = None) -> None:
+        """Tell nobody."""
+
+    def cancel(self) -> None:
+        """Refuse: it would end every call without a job of its own."""
+        raise RuntimeError("an unattended job cannot be cancelled: give the call a JobToken of its own")
+
+
+UNATTENDED = UnattendedJob()
+
+
 @dataclass(frozen=True)
 class JobSteps:
     """The steps of a part of a job: told as they are done, each with a few words, and ended by a request to cancel."""
 
     report: Callable[[int, str], object] = lambda done, words: None
-    job: JobToken = field(default_factory=JobToken)
+    job: JobToken = UNATTENDED
 
     def __call__(self, done: int, words: str) -> None:
         """Tell how many steps are done, and what is under way."""
@@ -425,8 +439,6 @@ class JobSteps:
 
 UNTOLD = JobSteps()
 """Steps that nobody follows or cancels."""
-UNATTENDED = JobToken()
-"""A job that nobody follows or ends."""
 
 
 # -- How fast a job goes on: the estimated time to its end, and lines that tell it where there is no terminal ---------

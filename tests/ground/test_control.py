@@ -24,7 +24,7 @@ import cellapp
 from cellapp.ground.control import Aborted, JobControl, Stopped
 from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.ground.executors import ComputingLost, PoolWork, gather
-from cellapp.ground.progress import Cancelled, JobToken, Progress, eta_words, in_lines
+from cellapp.ground.progress import UNATTENDED, Cancelled, JobToken, Progress, eta_words, in_lines
 from cellapp.ground.results import Record
 
 
@@ -43,6 +43,12 @@ def test_a_job_that_nobody_attends_ends_with_stop() -> None:
         with pytest.raises(Stopped):
             control.check()
     assert control.cancelled
+
+
+def test_nobody_can_cancel_what_all_calls_without_a_job_share() -> None:
+    with pytest.raises(RuntimeError, match="JobToken of its own"):
+        UNATTENDED.cancel()
+    assert not UNATTENDED.cancelled
 
 
 def test_an_attended_job_holds_and_resumes() -> None:

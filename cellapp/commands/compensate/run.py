@@ -29,10 +29,10 @@ from cellapp.commands.stored_model import model_of, stage_in_force, stale_notes
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.uncertainty.common import divided
 from cellapp.estimation.uncertainty.records import CommonUncertainty
-from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs, require_suffix, write_new
 from cellapp.ground.profile import Profile
+from cellapp.ground.progress import UNATTENDED, JobToken
 from cellapp.ground.results import COMPENSATE, PATH
 from cellapp.ground.shell import shell_word
 from cellapp.robot.effects import MeasurementConditions
@@ -128,7 +128,7 @@ def _common(arm: ArmModel, name: str, commands: Sequence[Command], readings: Rea
 def compensate_paths(
     run: RunFile,
     paths: Sequence[PathSpec],
-    control: JobControl | None = None,
+    job: JobToken = UNATTENDED,
     out: Path | None = None,
     outputs: Outputs = NEW_ONLY,
 ) -> PathResult:
@@ -144,15 +144,14 @@ def compensate_paths(
     """
     if out is not None:
         require_suffix(out, (".csv", ".script"), "compensate: a path")
-    control = control or JobControl()
     stages, plans = read_stages(run), list[PathPlan]()
     used = stage_in_force(run, stages)
     model = model_of(run, used)
     for done, spec in enumerate(paths):
-        control.check()
-        control.tell("paths", done, len(paths), spec.name)
+        job.check()
+        job.tell("paths", done, len(paths), spec.name)
         plans.append(plan_path(run.profile, model, spec, _PERIOD_S))
-    control.tell("paths", len(paths), len(paths), "done")
+    job.tell("paths", len(paths), len(paths), "done")
     texts = {} if out is None else _path_texts(run, used, plans, out)
     write_new(texts, outputs)
     result = PathResult(

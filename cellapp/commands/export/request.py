@@ -27,9 +27,12 @@ class ExportRequest(Request):
     joints: Annotated[Path | None, Asked("Where to write the joints of recordings.", "FILE", writes=Writes.FILE)] = None
     points: Annotated[Path | None, Asked("Where to write the points of recordings.", "FILE", writes=Writes.FILE)] = None
     plan: Annotated[Path | None, Asked("Where to write the plan.", "FILE", label="plan", writes=Writes.FILE)] = None
-    form: Annotated[str | None, Asked(f"Write calibrated arms or commands as {_FORMATS}", "FORMAT", option="--as")] = (
-        None
-    )
+    form: Annotated[
+        str | None,
+        Asked(
+            f"Write calibrated arms or commands as {_FORMATS}", "FORMAT", option="--as", label="format", hint=_FORMATS
+        ),
+    ] = None
     out: Annotated[
         Path | None,
         Asked("With --as: the file; several arms get one each, FILE-ARM.", "FILE", label="file", writes=Writes.FILES),

@@ -33,6 +33,9 @@ class ShowRequest(Request):
     target: Annotated[str | None, Asked("With targets: all about one of them.", "NAME")] = None
     strict: Strict = False
 
+    def job_name(self) -> str:
+        return "plan check" if self.check else "forecast" if self.forecast else ""
+
     @model_validator(mode="after")
     def _belongs_to_the_part(self) -> Self:
         if self.part != "log" and (self.level is not None or self.last is not None):

@@ -1,8 +1,6 @@
 """State of the current job for the screens, reduced from the events of its thread.
 
 Words for the current state of the cell: the age of all data, the progress of each arm's stop. Draws nothing.
-
-Events of a running job, in one line each, for the log of a screen.
 """
 
 from __future__ import annotations
@@ -13,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from itertools import islice
-from typing import Literal
+from typing import Literal, get_args
 
 from cellapp.ground.progress import (
     AirReport,
@@ -129,8 +127,8 @@ def without_data(live: CellLive) -> list[str]:
     return [*arms, *(["tracker"] if look_of(live.tracker_age_s) == "lost" else [])]
 
 
-Level = Literal["debug", "info", "warning", "error"]
-LEVELS: tuple[Level, ...] = ("debug", "info", "warning", "error")
+Level = Literal["info", "warning", "error"]
+LEVELS: tuple[Level, ...] = get_args(Level)
 MOST_LINES = 5000
 """Number of log lines that the screen keeps; the run file keeps all."""
 
@@ -209,20 +207,6 @@ class TrackerRecord:
     sweep: SweepLive | None = None
 
 
-@dataclass(frozen=True)
-class Pace:
-    """Times of the first and the last event of a part of a job [s, monotonic], and its number of steps at the first."""
-
-    began_s: float
-    began_done: int
-    heard_s: float
-
-    def per_minute(self, done: int) -> float | None:
-        """Return the steps per minute since the beginning; None before the first step."""
-        seconds = self.heard_s - self.began_s
-        return None if done <= self.began_done or seconds <= 0.0 else 60.0 * (done - self.began_done) / seconds
-
-
 @dataclass
 class JobRecord:
     """State of one job, reduced from its events. Only the thread of the screens writes and reads it.
@@ -243,8 +227,8 @@ class JobRecord:
         Why the job is in its state, in a sentence; may be empty.
     since : datetime
         When it entered its state.
-    paces : dict
-        Part -> times of its events, and its speed.
+    heard_s : dict
+        Part -> time of its newest event [s, monotonic].
     progress : dict
         Part -> its newest event; the part that reported last is the last one.
     arms : dict
@@ -274,7 +258,7 @@ class JobRecord:
     watched: bool = False
     part: str = ""
     since: datetime = field(default_factory=datetime.now)
-    paces: dict[str, Pace] = field(default_factory=dict)
+    heard_s: dict[str, float] = field(default_factory=dict)
     progress: dict[str, Progress] = field(default_factory=dict)
     arms: dict[str, ArmRecord] = field(default_factory=dict)
     tracker: TrackerRecord = field(default_factory=TrackerRecord)
@@ -302,7 +286,7 @@ class JobRecord:
         self.watched, self.part = watched, part
         self.name, self.state, self.reason, self.tracker = name, "running", "", TrackerRecord()
         self.since = datetime.now()
-        for kept in (self.progress, self.paces, self.arms, self.stops, self.references, self.suspicions):
+        for kept in (self.progress, self.heard_s, self.arms, self.stops, self.references, self.suspicions):
             kept.clear()
         self.causes, self.lost = (), ()
         self.changes += 1
@@ -338,17 +322,14 @@ class JobRecord:
         """Process one event."""
         if event.job == self.part:
             event = replace(event, job=self.name)
-        now_s, pace = time.monotonic(), self.paces.get(event.job)
-        self.paces[event.job] = Pace(now_s, event.done, now_s) if pace is None else replace(pace, heard_s=now_s)
+        self.heard_s[event.job] = time.monotonic()
         before = self.progress.pop(event.job, None)  # reinserted below: the newest part is the last one
         if before is not None and event.detail is not None and not event.note:
             self.progress[event.job] = replace(event, note=before.note)  # the note of a step stays until the next step
         else:
             self.progress[event.job] = event
         self.changes += 1
-        if event.detail is None:
-            self.note(f"{event.job} {event.done}/{event.total} {event.note}".rstrip(), "debug")
-        else:
+        if event.detail is not None:
             self._take(event.detail)
             self._log_detail(event.job, event.detail)
 
@@ -431,41 +412,18 @@ class JobRecord:
         match detail:
             case LogReport(level, text):
                 self.note(text, level_of(level))
-            case StopReport():
-                self.note(f"{job}: {detail_words(detail)}", "debug")
-            case StateChange(state):
-                self.note(f"{job}: {detail_words(detail)}", "info" if state == "running" else "warning")
-            case Suspicion():
-                self.note(f"{job}: {detail_words(detail)}", "warning")
-            case Notice():
-                self.note(f"{job}: {detail_words(detail)}", "info")
-            case ReferenceReport():
-                self.note(f"{job}: {detail_words(detail)}", "info" if within_limit(detail) else "warning")
+            case StateChange(state, reason):
+                self.note(f"{job}: {state.upper()}: {reason}", "info" if state == "running" else "warning")
+            case Suspicion(kind, text):
+                self.note(f"{job}: SUSPICION: {kind}: {text}", "warning")
+            case Notice(text):
+                self.note(f"{job}: {text}")
+            case ReferenceReport(drift_mm, limit_mm):
+                drifts = ", ".join(f"{name} {drift:.3f}" for name, drift in drift_mm.items())
+                words = f"{job}: reference: {drifts} mm from the first measurement, limit {limit_mm:.3f} mm"
+                self.note(words, "info" if within_limit(detail) else "warning")
 
 
 def within_limit(report: ReferenceReport) -> bool:
     """Return whether no reference moved farther than the limit."""
     return max(report.drift_mm.values(), default=0.0) <= report.limit_mm
-
-
-def detail_words(detail: Detail) -> str:
-    """Describe an event in one line; empty for steps of a stop, which a screen draws and a log omits."""
-    match detail:
-        case StateChange(state, reason):
-            return f"{state.upper()}: {reason}"
-        case StopReport():
-            return f"stop {detail.stop + 1}, {stop_words(detail)}"
-        case Suspicion(kind, text):
-            return f"SUSPICION: {kind}: {text}"
-        case ReferenceReport(drift_mm, limit_mm):
-            drifts = ", ".join(f"{name} {drift:.3f}" for name, drift in drift_mm.items())
-            return f"reference: {drifts} mm from the first measurement, limit {limit_mm:.3f} mm"
-        case LogReport(text=text) | Notice(text=text):
-            return text
-        case _:
-            return ""
-
-
-def stop_words(report: StopReport) -> str:
-    """State the newest residual and standard error of one arm."""
-    return f"{report.arm}: residual {report.residual_mm:.3f} mm, standard error {report.standard_error_mm:.4f} mm"

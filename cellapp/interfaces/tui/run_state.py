@@ -37,7 +37,6 @@ SIGNS: Mapping[Kind, str] = {
     "out of date": "!",
 }
 """Sign of each kind: ``done`` is done and up to date, ``conforms`` is within its tolerance given its uncertainty."""
-_ENDED = ("complete", "accurate enough")
 
 
 @dataclass(frozen=True)
@@ -58,14 +57,15 @@ def next_step(workspace: Workspace) -> Step:
     return step_of(workspace.overview.next_verb) or "cell"
 
 
-def _next_words(workspace: Workspace, waits: str) -> str:
+def _next_words(workspace: Workspace) -> str:
     """Return what comes next and the key that goes there."""
     key, words = SHOWN["next"], "" if workspace.overview is None else workspace.overview.next_step
-    last = f"; {SHOWN['last']} goes on with the last run, {waits}" if waits and workspace.folder is None else ""
     if workspace.profile is None:
-        return f"Next: choose a profile{last}"
+        return f"Next: choose a profile; {SHOWN['runs']} lists all runs"
     if workspace.overview is None:
-        return f"Next ({key}): plan a run{last}"
+        return f"Next ({key}): plan a run; {SHOWN['runs']} lists all runs"
+    if workspace.read_only:
+        return "Next: copy the run to go on with it; this folder cannot be written"
     if not words:
         return f"Next: nothing is left to do in this run; {SHOWN['runs']} lists all"
     if words.startswith("cellapp "):  # its folder may be quoted
@@ -126,7 +126,6 @@ def _concluded(workspace: Workspace) -> dict[Step, Mark]:
 
 Stored = Literal["no cell", "broken", "no run", "no plan", "planned", "part", "complete", "calibrated"]
 """Content of the run file: the most advanced state that applies."""
-COPY_IT = "This folder cannot be written: copy the run to go on with it."
 
 
 @dataclass(frozen=True)
@@ -192,11 +191,6 @@ class RunState:
         return f"{profile} · {run}" + (" · READ-ONLY" if cell.read_only else "")
 
     @property
-    def collecting(self) -> bool:
-        """Whether the current job measures stops of this run."""
-        return self.job is not None and self.job.step == "collect"
-
-    @property
     def measured_words(self) -> str:
         """How many stops are measured: "215 of 400 stops are measured"."""
         if not self.planned:
@@ -225,69 +219,25 @@ class RunState:
 
     @property
     def not_calibrated(self) -> str:
-        """Why there is no calibration, and what to do; empty if there is one."""
+        """Why there is no calibration; empty if there is one."""
         if self.no_run or self.stored == "calibrated":
             return self.no_run
-        if (job := self.job) is not None and job.step in ("collect", "calibrate"):
-            return f"Not calibrated yet: {job.words}; {self.measured_words}."
-        if self.reading:
-            return self.reading
-        if self.workspace.read_only:
-            return f"Not calibrated yet: {self.measured_words}. {COPY_IT}"
-        begin = f"keys 4, {SHOWN['go']}"
-        if self.stored == "complete":
-            return f"Not calibrated yet: {self.measured_words}; {begin} calibrate."
-        collect = f"keys 3, {SHOWN['go']} collect"
-        if self.measured:
-            return f"Not calibrated yet: {self.measured_words}; {collect} the rest, {begin} calibrate with these."
-        return f"Not calibrated yet: {self.measured_words}; {collect} first."
+        return self.reading or f"Not calibrated yet: {self.measured_words}."
 
     @property
     def not_collected(self) -> str:
-        """What the file contains of the collecting, if it has no tables to show."""
-        if self.no_run:
-            return self.no_run
-        if (job := self.job) is not None and self.collecting:
-            return f"{self.measured_words}; {job.words}. Its sessions stand here when it has ended."
-        if self.reading:
-            return self.reading
-        if not self.planned and not self.measured:
-            return "This run has no plan."
-        if self.measured:
-            return f"{self.measured_words}; no session of collecting is stored: the readings were imported."
-        begin = COPY_IT if self.workspace.read_only else f"{SHOWN['go']} begins."
-        return f"Nothing was collected yet in this run: {begin}"
+        """What the file contains of the collecting, if it has no tables or no residuals to show."""
+        return self.no_run or self.reading or f"Nothing is stored of collecting; {self.measured_words}."
 
     def nothing(self, step: Step, else_: str) -> str:
         """Return why a step has nothing to show; ``else_`` if only the step itself was not done."""
         if (job := self.job) is not None and job.step == step and not self.no_run:
             return f"Nothing is stored yet: {job.words}."
-        return self.not_calibrated or (COPY_IT if self.workspace.read_only and else_ else else_)
-
-    @property
-    def residuals_words(self) -> str:
-        """Text of the residual plots without a point."""
-        if self.no_run:
-            return self.no_run
-        if self.collecting:
-            return f"No stop was measured in this session yet; {self.measured_words}."
-        if self.reading:
-            return self.reading
-        if self.measured:
-            once = "" if self.stored == "calibrated" else " once they are calibrated"
-            return f"{self.measured_words}; their residuals are in Calibrate (key 4){once}."
-        return (
-            f"No readings yet. {COPY_IT}" if self.workspace.read_only else f"No readings yet: {SHOWN['go']} collects."
-        )
+        return self.not_calibrated or else_
 
 
-def run_state(
-    workspace: Workspace, record: JobRecord, running: Job | None = None, waits: str = "", reading: str = ""
-) -> RunState:
-    """Return the state of the open run and the running job.
-
-    ``waits`` is the run that was open last, in words; ``reading`` says what is not read yet.
-    """
+def run_state(workspace: Workspace, record: JobRecord, running: Job | None = None, reading: str = "") -> RunState:
+    """Return the state of the open run and the running job; ``reading`` says what is not read yet."""
     job = _job_now(record, running)
     here = job is not None and (job.folder is None or job.folder == workspace.folder)
     stops = () if workspace.stops is None or workspace.profile is None else workspace.stops.stops
@@ -309,7 +259,7 @@ def run_state(
         measured=measured,
         remaining=todo,
         job=job,
-        next_words=_next_words(workspace, waits),
+        next_words=_next_words(workspace),
         reading="" if running is not None else reading,
     )
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,9 +14,7 @@ from cellapp.interfaces.page import draw_certificate, write_page
 from cellapp.interfaces.tui.jobs import Ask, Job
 
 if TYPE_CHECKING:
-    from cellapp.cell.run import RunFile
     from cellapp.commands.init.request import InitRequest
-    from cellapp.commands.report.data import ReportData
     from cellapp.ground.profile import Profile
     from cellapp.ground.results import Result
 
@@ -90,66 +87,3 @@ def own_readings(request: InitRequest) -> Job:
         return imported.model_copy(update={"notes": (*written.notes, *imported.notes)})
 
     return Job("import", work, folder)
-
-
-def check_plan(folder: Path) -> Job:
-    """Return the job that runs the safety gate over the plan of a run again; nothing moves."""
-
-    def work(run: RunFile, control: JobControl, ask: Ask) -> Result:
-        from cellapp.cell.planning.view import check_plan_run
-
-        return check_plan_run(run, control)
-
-    return _of_run("plan check", folder, work)
-
-
-def forecast_plan(folder: Path) -> Job:
-    """Return the job that forecasts the results of a run's plan."""
-
-    def work(run: RunFile, control: JobControl, ask: Ask) -> Result:
-        from cellapp.cell.planning.view import forecast_run
-
-        return forecast_run(run, control)
-
-    return _of_run("forecast", folder, work)
-
-
-def _of_run(name: str, folder: Path, work: Callable[[RunFile, JobControl, Ask], Result]) -> Job:
-    """Return a job that only reads a run."""
-
-    def opened(control: JobControl, ask: Ask) -> Result:
-        from cellapp.cell.run import RunFile
-
-        with RunFile.open(folder) as run:
-            return work(run, control, ask)
-
-    return Job(name, opened, folder)
-
-
-def report_data(folder: Path | None) -> ReportData | None:
-    """Read the data for plots of a calibrated run; None if there is no calibration. Call it in a separate thread."""
-    from cellapp.cell.run import RunFile
-    from cellapp.commands.report.data import read_report_data
-    from cellapp.ground.errors import CellappError
-
-    if folder is None:
-        return None
-    try:
-        with RunFile.open(folder) as run:
-            data = read_report_data(run)
-    except (CellappError, OSError, ValueError, TypeError):  # the last three: values of a damaged or foreign file
-        return None  # the screen says what is missing
-    for arm in data.held_out.values():
-        _ = arm.errors_mm  # computed here, not while drawing
-    return data
-
-
-def words_of_run(folder: Path) -> str:
-    """Return a run and what was left of it, in words. Call it in a separate thread."""
-    from cellapp.commands.runs.run import summarise
-    from cellapp.ground.counting import counted
-
-    run = summarise(folder)
-    if run.resumable:
-        return f"{folder}: {counted(run.stops_left, 'stop')} left"
-    return f"{folder}: in use by {run.in_use}" if run.in_use else str(folder)

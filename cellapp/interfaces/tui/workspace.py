@@ -4,21 +4,26 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from cellapp.ground.errors import CellappError, InputError
-from cellapp.ground.job_client import JOB_FILE, who_uses
+from cellapp.ground.job_client import who_uses
 
 if TYPE_CHECKING:
     from cellapp.cell.planning.planned_stops import PlannedStops
+    from cellapp.cell.run import RunFile
+    from cellapp.cell.run.sqlite_file import Event
     from cellapp.commands.collect.result import CollectionResult
     from cellapp.commands.next_step import Conclusion
     from cellapp.commands.plan.result import StopsResult
+    from cellapp.commands.report.data import ReportData
     from cellapp.commands.run_results import RunResults
     from cellapp.commands.show.result import OverviewResult
+    from cellapp.commands.view.parts import Parts
+    from cellapp.commands.view.words import Verdict
     from cellapp.estimation.uncertainty.records import Conformity
     from cellapp.ground.profile import CellKind, Profile
     from cellapp.ground.results import StageName
@@ -49,6 +54,12 @@ class Workspace:
         Stage -> its conclusion.
     conformity : str or None
         The verdict on the tolerances; None if nothing is judged.
+    verdict : tuple or None
+        The verdict, its judgements and next steps; None without a run.
+    data : ReportData or None
+        Readings, models and held-out errors; None if the run is not calibrated.
+    log : tuple of Event
+        The log that the run stores.
     reported, read_only : bool
         Whether the page of the run is written; whether its folder cannot be written.
     beside_run : Profile or None
@@ -69,6 +80,9 @@ class Workspace:
     beside_run: Profile | None = None
     conclusions: Mapping[StageName, Conclusion] = field(default_factory=dict)
     conformity: Conformity | None = None
+    verdict: tuple[Verdict, Parts] | None = None
+    data: ReportData | None = None
+    log: tuple[Event, ...] = ()
     reported: bool = False
     read_only: bool = False
 
@@ -122,19 +136,6 @@ def holds_run(folder: Path | None) -> bool:
     return folder is not None and (folder / FILE_NAME).is_file()
 
 
-_SQLITE = b"SQLite format 3"
-
-
-def last_run(logs: Path) -> Path | None:
-    """Return the run below a folder that was changed last, before all one with a job; quickly, without reading any."""
-    found = []
-    for file in logs.glob("*/run.sqlite"):
-        with suppress(OSError), file.open("rb") as opened:
-            if opened.read(len(_SQLITE)) == _SQLITE:
-                found.append(((file.parent / JOB_FILE).exists(), file.stat().st_mtime, file.parent))
-    return max(found, default=(False, 0.0, None))[2]
-
-
 def load_workspace(profile_path: Path | None, folder: Path | None) -> Workspace:
     """Read a profile and a run. A problem is part of the return value; bad files raise nothing."""
     from cellapp.cell.profile import load_profile
@@ -163,8 +164,9 @@ def _with_run(profile_path: Path | None, profile: Profile | None, folder: Path) 
     from cellapp.commands.collect.state import collection_state
     from cellapp.commands.next_step import conformity, stage_conclusions
     from cellapp.commands.plan.run import planned_stops
+    from cellapp.commands.report.summary import read_verdict
     from cellapp.commands.run_results import read_results
-    from cellapp.commands.show.overview import run_overview
+    from cellapp.commands.show.overview import run_log, run_overview
 
     with RunFile.open(folder) as run:
         results = read_results(run)
@@ -182,9 +184,25 @@ def _with_run(profile_path: Path | None, profile: Profile | None, folder: Path) 
             beside_run=profile,
             conclusions=stage_conclusions(results),
             conformity=conformity(run, results),
+            verdict=read_verdict(run, datetime.now(UTC).date()),
+            data=_report_data(run),
+            log=run_log(run).lines,
             reported=(folder / REPORT_FILE).exists(),
             read_only=not all(os.access(path, os.W_OK) for path in (folder, folder / FILE_NAME)),
         )
+
+
+def _report_data(run: RunFile) -> ReportData | None:
+    """Return the data for plots of a run; None if it is not calibrated."""
+    from cellapp.commands.report.data import read_report_data
+
+    try:
+        data = read_report_data(run)
+    except InputError:
+        return None  # the screen says what is missing
+    for arm in data.held_out.values():
+        _ = arm.errors_mm  # computed here, not while drawing
+    return data
 
 
 def new_folder(profile: Profile | None) -> Path:

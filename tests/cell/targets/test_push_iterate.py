@@ -288,7 +288,7 @@ def test_what_cannot_be_written_is_refused(run: RunFile, tmp_path: Path) -> None
     control = JobControl()
     control.cancel()
     with pytest.raises(Cancelled):
-        compensate_paths(run, [spec()], control=control)
+        compensate_paths(run, [spec()], job=control)
 
 
 def off_m(run: RunFile, model: CellModel, plan: PathPlan) -> Array:

@@ -8,11 +8,10 @@ import os
 import shutil
 import sys
 from collections.abc import Iterator
-from datetime import datetime, timedelta
 from pathlib import Path
 
 import pytest
-from textual.widgets import DataTable, Static, TabbedContent
+from textual.widgets import Static, TabbedContent
 
 from cellapp.cell.profile import load_profile
 from cellapp.cell.profile.starters import copy_starter
@@ -26,7 +25,6 @@ from cellapp.interfaces.tui.dialogs.program import MotionQuestion
 from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.jobs import MotionAsked
 from cellapp.interfaces.tui.screens.cell import CellScreen
-from cellapp.interfaces.tui.widgets.tables import FindingsTable
 from cellapp.interfaces.tui.workspace import Workspace, load_workspace
 from drivers.findings import DeviceReport, Finding
 from tests.interfaces.tui.pilot import (
@@ -75,26 +73,26 @@ async def test_failed_checks_come_first_and_are_read_in_full() -> None:
         cell_screen(app).show_result(found)
         app.draw_all()
         await pilot.pause()
-        assert line(app, "cell-verdict") == "1 check failed (1 warning): arm left: link."
-        await until(pilot, lambda: line(app, "cell-detail") == f"arm left: link: {long}", "the sentence in full")
+        assert line(app, "cell-verdict").startswith("1 check failed (1 warning): arm left: link. Checked at ")
+        listed = app.day_screen.query_one("#tab-doctor PartsView")
+        await until(pilot, lambda: len(listed.children) == len(found.findings), "the checks")
+        first = " ".join(str(listed.query(Static).first().render()).split())
+        assert first == f"failed arm left: link: {long}".strip()
 
 
-async def test_a_doctor_that_is_old_or_of_another_file_is_shown_as_old(tmp_path: Path) -> None:
+async def test_a_doctor_of_another_file_is_shown_as_old(tmp_path: Path) -> None:
     shutil.copytree(PROFILES, tmp_path / "profiles")
     async with running(tmp_path / "profiles") as (pilot, app):
         await pilot.press("b")
         await ended(pilot, app)
-        screen = cell_screen(app)
-        screen._doctor_at = datetime.now() - timedelta(minutes=11)
-        app.draw_all()
-        assert line(app, "cell-verdict").startswith("Old, from 11 min ago: Ready")
-        screen._doctor_at = datetime.now()
+        assert line(app, "cell-verdict").startswith("Ready: nothing would be refused")
         os.utime(tmp_path / "profiles" / "twin.yaml", ns=(1, 1))
         app.draw_all()
         assert line(app, "cell-verdict").startswith("Old, the profile was edited since: Ready")
         app.open_profile(tmp_path / "profiles" / "ur10-real.yaml")
         await until(pilot, lambda: line(app, "cell-verdict").startswith("Not checked yet"), "another cell")
-        assert app.day_screen.query_one(FindingsTable).row_count == 0
+        await pilot.press("t")
+        await shows(pilot, "asks the doctor")
 
 
 # -- Header and questions speak of the arms that a job moves, whatever is or was open besides --------------------------
@@ -203,9 +201,9 @@ def edits(cell: CellApp, monkeypatch: pytest.MonkeyPatch, before: str, after: st
     monkeypatch.setattr(cell, "lend_terminal", lend)
 
 
-def rows(cell: CellApp) -> list[list[str]]:
-    table = cell.day_screen.query_one("#cell-words", DataTable)
-    return [[str(cell) for cell in table.get_row_at(row)] for row in range(table.row_count)]
+def said(cell: CellApp) -> list[str]:
+    """The lines of the tab Profile."""
+    return [str(one.render()) for one in cell.day_screen.query("#tab-profile PartsView Static").results(Static)]
 
 
 @pytest.mark.parametrize("size", [SIZES[0], SIZES[1]])
@@ -216,9 +214,8 @@ async def test_what_is_wrong_is_listed_edited_and_checked_again(
     TWIN.write_text(text.replace("\nplan:", "\nseed: 2\nplant_: {}\nplan:").replace("seed: 1", "seed: one", 1), "utf-8")
     edits(cell, monkeypatch, "plant_: {}", "")
     async with cell.run_test(size=size) as pilot:
-        await until(pilot, lambda: len(rows(cell)) > 0 and "twin.yaml:" in rows(cell)[0][0], "the problems")
+        await until(pilot, lambda: all("twin.yaml:" in words for words in said(cell)), "the problems")
         assert cell.day_screen.query_one("#cell-tabs", TabbedContent).active == "tab-profile"
-        assert all(where.startswith("twin.yaml:") for where, _ in rows(cell))
         await shows(pilot, "u edits it")
         TWIN.write_text(text.replace("\nplan:", "\nplant_: {}\nplan:"), "utf-8")
         await pilot.press("u")
@@ -226,7 +223,7 @@ async def test_what_is_wrong_is_listed_edited_and_checked_again(
         assert cell.workspace.problem == ""
         edits(cell, monkeypatch, "name: twin", "nam: twin")
         await pilot.press("u")
-        await until(pilot, lambda: any("did you mean" in words for _, words in rows(cell)), "the new problem")
+        await until(pilot, lambda: any("did you mean" in words for words in said(cell)), "the new problem")
 
 
 async def test_where_no_editor_can_be_opened_the_path_is_said(cell: CellApp, monkeypatch: pytest.MonkeyPatch) -> None:

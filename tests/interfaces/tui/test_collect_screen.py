@@ -37,7 +37,6 @@ from cellapp.ground.progress import (
 from cellapp.interfaces.tui import verb_jobs
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.question import Choice
-from cellapp.interfaces.tui.screens.collect import CollectScreen
 from cellapp.interfaces.tui.widgets.chart_plot import ChartPlot
 from cellapp.interfaces.tui.widgets.collected_stops import CollectedStops
 from cellapp.interfaces.tui.workspace import Workspace
@@ -137,7 +136,7 @@ async def test_stops_that_were_planned_since_are_offered() -> None:
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
         await show_collect(pilot, app, run)
-        await shows(pilot, "1 MORE STOPS  3 are measured; b measures those that were planned since.")
+        await shows(pilot, "READY, 1 stop  b measures 1 stop that is left")
 
 
 def drifted_run(folder: Path, drift_m: float) -> Path:
@@ -217,18 +216,6 @@ async def test_what_a_run_stores_and_its_log_are_shown_until_a_job_begins() -> N
         await begun(pilot, app, held)
         await shows(pilot, "Log of this session")
         await finished(pilot, app, held)
-
-
-async def test_a_log_that_cannot_be_read_is_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
-    run = collected_run(Path("logs/part"), "stopped")
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await show_collect(pilot, app, run)
-        (run / "run.sqlite").write_bytes(b"no run")
-        assert isinstance(app.day_screen, CollectScreen)
-        app.day_screen._read_log(run)
-        await until(pilot, lambda: "run.sqlite" in app.message, "the sentence")
-        assert app.is_running
 
 
 # -- stops one by one --------------------------------------------------------------------------------------------------

@@ -134,7 +134,7 @@ async def test_faults_while_collecting_are_shown_in_words_and_recovered_by_keys(
         await pilot.press("enter")
         await says(pilot, app, "logs/day is open; next: Collect (key n)")
         await pilot.press("n")
-        await says(pilot, app, f"READY, {STOPS} stops", "b begins")
+        await says(pilot, app, f"READY, {STOPS} stops", "b measures")
         await pilot.press("b")
         await says(pilot, app, "Begin to collect?", "the arms are emulated")
         await pilot.press("b")

@@ -10,14 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from textual.screen import ModalScreen
-from textual.widgets import Input, OptionList
+from textual.widgets import Input
 
 from cellapp.cell.run import RunFile, sqlite_file
 from cellapp.cell.targets.records import ArmVerification, MeasuredTarget, VerifyResult
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.compensate.request import VERB as COMPENSATE
 from cellapp.commands.compensate.request import CompensateRequest
-from cellapp.commands.export.request import ExportRequest
 from cellapp.commands.record import Request
 from cellapp.commands.run.request import VERB as WHOLE_DAY
 from cellapp.commands.run.result import WholeRunResult
@@ -29,10 +28,10 @@ from cellapp.interfaces.tui.dialogs.question import WRITE
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.job_outcome import REPORT_FILE, ending_of
 from cellapp.interfaces.tui.jobs import Job, JobEnded
-from cellapp.interfaces.tui.screens.calibrate import ExportArms
 from tests.handbook.screen_pictures import settle
-from tests.interfaces.tui.pilot import PROFILES, SMALL, ended, opened, running, shown_text, until
+from tests.interfaces.tui.pilot import PROFILES, SMALL, ended, opened, running, shown_text, shows, until
 
+DAY = Path("logs") / "day"
 GIVEN = {"folder": Path("day"), "targets": Path("old.script")}
 
 
@@ -55,28 +54,26 @@ async def test_enter_in_a_field_sends_what_moves_nothing_and_the_first_empty_fie
     ]
 
 
-async def test_a_format_proposes_its_file_and_what_is_typed_stays() -> None:
-    app, answers = CellApp(PROFILES), list[Request | None]()
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        app.push_screen(ExportArms(Path("day"), ("left", "right"), WRITE), answers.append)
-        await until(pilot, lambda: isinstance(app.focused, OptionList), "the focus")
-        assert "Write (Ctrl+S)" in shown_text(app), "all of the dialog fits into the smallest terminal"
-        await pilot.press("down", "down")
-        field = app.screen.query_one("#out", Input)
-        await until(pilot, lambda: field.value == str(Path("day") / "urdf.urdf"), "the text of the field")
-        field.value = ""
+async def test_calibrated_arms_are_exported_in_a_format_of_the_list(finished_run: Path) -> None:
+    shutil.copytree(finished_run, DAY)
+    async with running() as (pilot, app):
+        app.open_run(DAY)
+        await until(pilot, lambda: app.workspace.results is not None, "the run")
+        await pilot.press("4")
+        await settle(pilot)
+        await pilot.press("e")
+        await until(pilot, lambda: app.focused is app.screen.query_one("#form"), "the field of the format")
+        await shows(pilot, "dh-plain", "Write (Ctrl+S)")  # all of the dialog fits into the smallest terminal
+        await pilot.press(*"dh", "enter")
+        await shows(pilot, "--as FORMAT and --out FILE belong together")
+        app.screen.query_one("#out", Input).value = "mine.yaml"
         await pilot.press("ctrl+s")
-        await until(pilot, lambda: app.focused is field, "the field of the file that is needed")
-        field.value = "mine.urdf"
-        await pilot.press("enter")
-        await until(pilot, lambda: bool(answers), "the answer")
-    assert answers == [ExportRequest(folder=Path("day"), form="urdf", out=Path("mine.urdf"))]
+        await ended(pilot, app)
+    assert Path("mine-left.yaml").is_file()
 
 
 # Nothing is done again without a question: a key that would repeat what a run holds asks first, and begins nothing.
 
-DAY = Path("logs") / "day"
 ASKED = {
     "plan a new run": ("2", "b"),
     "change the plan": ("2", "plus"),

@@ -131,7 +131,7 @@ class Walk:
                 pane = self.app.screen.query_one(LogPane)
                 await until(self.pilot, lambda: pane.view.size.width > 0, "the log on the screen")
                 texts = (f"event {number} of arm {'left' if number % 3 else 'right'}" for number in range(int(rest)))
-                pane.show("A log", [LogRow(NOON, LEVELS[n % 4], text) for n, text in enumerate(texts)])
+                pane.show("A log", [LogRow(NOON, LEVELS[n % 3], text) for n, text in enumerate(texts)])
             case "edit":  # FILE OLD NEW: another text in a file
                 old, _, new = text.partition(" ")
                 Path(name).write_text(Path(name).read_text("utf-8").replace(old, new), "utf-8")

@@ -26,12 +26,12 @@ from cellapp.ground.control import JobControl
 from cellapp.ground.progress import ArmLive, CellLive, Halt, HaltState, MeasurementBegun, Progress, StateChange
 from cellapp.interfaces.tui import app
 from cellapp.interfaces.tui.app import CellApp, SlowCollections
-from cellapp.interfaces.tui.job_record import LEVELS, JobRecord, LogRow, Pace, banner_of, strip_of
+from cellapp.interfaces.tui.job_record import LEVELS, JobRecord, LogRow, banner_of, strip_of
 from cellapp.interfaces.tui.jobs import Ask, Job
 from cellapp.interfaces.tui.plots import draw
 from cellapp.interfaces.tui.widgets.chart_plot import ON_DARK, ON_LIGHT
 from cellapp.interfaces.tui.widgets.log_pane import LogPane
-from cellapp.interfaces.tui.widgets.progress_bars import WHOLE_DAY, Part, _line, ending_words, parts_of
+from cellapp.interfaces.tui.widgets.progress_bars import WHOLE_DAY, Part, ending_words, parts_of
 from tests.cell.run.small_runs import planned_run
 from tests.interfaces.tui.pilot import PROFILES, SIZES, SMALL, HeldJob, ended, opened, running, shown_text, shows, until
 from tests.waiting import WAIT_S
@@ -52,7 +52,7 @@ async def shown_log(pilot: Pilot[None], app: CellApp, rows: list[LogRow]) -> Log
 
 
 MANY = [
-    LogRow(NOON + timedelta(seconds=number), LEVELS[number % 4], f"event {number}, {'left' if number % 3 else 'right'}")
+    LogRow(NOON + timedelta(seconds=number), LEVELS[number % 3], f"event {number}, {'left' if number % 3 else 'right'}")
     for number in range(400)
 ]
 
@@ -208,13 +208,11 @@ def record(*events: Progress) -> JobRecord:
 
 
 def test_the_time_that_is_left_goes_down_between_two_reports() -> None:
-    part = Part("collect", HALF, Pace(0.0, 15, 100.0))
+    part = Part("collect", HALF, 100.0)
     assert part.remaining_s(100.0) == pytest.approx(600.0)
     assert part.remaining_s(220.0) == pytest.approx(480.0)
     assert replace(part, waits=True).remaining_s(220.0) is None, "who waits for a person has no time of ending"
     assert ending_words(-3.0, datetime(2026, 1, 2)) == "any moment"
-    assert Pace(0.0, 15, 100.0).per_minute(215) == pytest.approx(120.0)
-    assert Pace(0.0, 15, 100.0).per_minute(15) is None
     assert all(one.waits for one in parts_of(record(HALF, LOST)))
 
 
@@ -225,12 +223,6 @@ def test_the_candidates_of_a_plan_are_no_part_of_the_day_that_goes_on() -> None:
     assert [part.name for part in parts_of(day)] == [*WHOLE_DAY, "candidates"]
     day.add(HALF)
     assert [part.name for part in parts_of(day)] == list(WHOLE_DAY)
-
-
-@pytest.mark.parametrize(("span_s", "words"), [(0.6, "6400/min"), (40.0, "96/min"), (400.0, "9.6/min")])
-def test_a_rate_has_no_power_of_ten(span_s: float, words: str) -> None:
-    part = Part("collect", Progress("collect", 79, 400), pace=Pace(0.0, 15, span_s))
-    assert words in _line(part, 200, datetime.now()).plain
 
 
 async def test_a_stop_is_told_with_its_reason(monkeypatch: pytest.MonkeyPatch) -> None:

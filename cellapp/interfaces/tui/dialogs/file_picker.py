@@ -1,7 +1,4 @@
-"""Dialog for a path, which Tab or the right arrow completes.
-
-Dialog that saves a text in a file. An existing file is only replaced after a second confirmation.
-"""
+"""Dialog for a path, which Tab or the right arrow completes."""
 
 from __future__ import annotations
 
@@ -10,14 +7,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import ClassVar
 
-from textual import on
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
-from textual.containers import Horizontal
 from textual.suggester import Suggester
-from textual.widgets import Button, Input, Static
+from textual.widgets import Input
 
-from cellapp.interfaces.tui.dialogs.question import Question
+from cellapp.interfaces.tui.dialogs.question import AnswerQuestion, ChosenAnswer
 
 _MOST_SHOWN = 200
 _MOST_NAMED = 5
@@ -87,7 +82,7 @@ class PathField(Input):
         self.focus()
 
 
-class FilePicker(Question[Path]):
+class FilePicker(AnswerQuestion[Path]):
     """Dialog for a file that is there, whose path Tab completes. Returns it; None if the dialog is closed.
 
     Parameters
@@ -103,50 +98,32 @@ class FilePicker(Question[Path]):
     BINDINGS: ClassVar[list[BindingType]] = [Binding("tab", "complete", "Complete", priority=True)]
 
     def __init__(self, title: str, start: Path, wanted: Callable[[Path], bool]) -> None:
-        super().__init__()
+        answers = ChosenAnswer("open", "Open", "ctrl+s", "success"), ChosenAnswer("no", "Close", "f10")
+        super().__init__(title, "Tab completes, Enter opens.", answers)
         folder = start.is_dir() and str(start) != os.sep
-        self._title, self._start, self._wanted = title, str(start) + (os.sep if folder else ""), wanted
+        self._start, self._wanted = str(start) + (os.sep if folder else ""), wanted
 
-    def body(self) -> ComposeResult:
-        yield Static(self._title, classes="title", markup=False)
+    def fields(self) -> ComposeResult:
         yield PathField(self._start, self._wanted)
-        words = f"Tab completes, Enter opens, {self.closing_key} closes."
-        yield Static(words, id="why", classes="text", markup=False)
-        with Horizontal(classes="answers"):
-            yield Button("Open", id="open", variant="success", compact=True)
-            yield Button("Close", id="close", compact=True)
 
     def on_mount(self) -> None:
         """Focus the field."""
-        field = self.query_one("#path", Input)
-        field.focus()
-        field.cursor_position = len(field.value)
-
-    @on(Input.Submitted)
-    def submit(self, event: Input.Submitted) -> None:
-        """Submit with Enter in any field."""
-        event.stop()
-        self.action_send()
-
-    @on(Button.Pressed)
-    def press(self, event: Button.Pressed) -> None:
-        """Submit or close."""
-        event.stop()
-        if event.button is self.query(".answers Button").first():
-            self.action_send()
-        else:
-            self.dismiss(None)
+        super().on_mount()
+        self.call_after_refresh(self.query_one(PathField).focus)
 
     def action_complete(self) -> None:
         """Complete to the longest common prefix of all candidates; a single candidate completely."""
         self.query_one(PathField).complete()
 
-    def action_send(self) -> None:
+    def entered(self) -> None:
+        """Open the file."""
+        self.action_answer("open")
+
+    def action_answer(self, value: str) -> None:
         """Close with the file, if there is one."""
         path = Path(self.typed("path")).expanduser()
-        if path.is_file():
-            self.dismiss(path)
+        if value == "no" or path.is_file():
+            self.dismiss(None if value == "no" else path)
             return
         found = ", ".join(map(os.path.basename, completions(self.typed("path"), self._wanted)[:_MOST_NAMED]))
-        said = f" There are: {found}." if found else ""
-        self.query_one("#why", Static).update(f"{path}: no such file.{said} Tab completes, {self.closing_key} closes.")
+        self.explain(f"{path}: no such file." + (f" There are: {found}." if found else ""))

@@ -80,12 +80,9 @@ class VerbQuestion(AnswerQuestion[Request]):
     def on_mount(self) -> None:
         """Focus the first empty field, if nothing can move by it."""
         super().on_mount()
-        if not self.verb.moves_arms and (first := self.first_field()) is not None:
-            self.call_after_refresh(first.focus)
-
-    def first_field(self) -> Widget | None:
-        """Return the widget to fill in first; None if there is none."""
-        return next((field for field in self.query(Input) if not field.value), None)
+        empty = [field for field in self.query(Input) if not field.value]
+        if empty and not self.verb.moves_arms:
+            self.call_after_refresh(empty[0].focus)
 
     def entered(self) -> None:
         """Give the first answer; if arms may move, go to the answers."""

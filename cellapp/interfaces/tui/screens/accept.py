@@ -7,14 +7,11 @@ The verbs of the screen Accept as jobs. Packages that a verb needs are loaded in
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
-from textual import work as in_thread
 from textual.app import ComposeResult
 from textual.binding import BindingType
 from textual.widgets import TabbedContent
-from textual.worker import get_current_worker
 
 from cellapp.commands.certificate.request import VERB as CERTIFICATE_VERB
 from cellapp.commands.check.request import STOPS
@@ -28,31 +25,11 @@ from cellapp.ground.results import CALIBRATE, CERTIFICATE, CHECK, ISO9283, Stage
 from cellapp.interfaces.tui import verb_jobs
 from cellapp.interfaces.tui.dialogs.question import ChosenAnswer
 from cellapp.interfaces.tui.keys import bind, with_keys
-from cellapp.interfaces.tui.run_state import COPY_IT, RunState
+from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.tabs import TabsScreen, id_of
 from cellapp.interfaces.tui.widgets.controls import Line
 from cellapp.interfaces.tui.widgets.parts_view import words_first
 from cellapp.interfaces.tui.workspace import Step, Workspace, new_folder
-
-if TYPE_CHECKING:
-    from cellapp.commands.view.parts import Parts
-    from cellapp.commands.view.words import Verdict
-
-
-def verdict(folder: Path) -> tuple[Verdict, Parts] | None:
-    """Read the verdict on a run, its judgements and next steps; None if it cannot be read. Call it in a thread."""
-    from datetime import UTC, datetime
-
-    from cellapp.cell.run import RunFile
-    from cellapp.commands.report.summary import read_verdict
-    from cellapp.ground.errors import CellappError
-
-    try:
-        with RunFile.open(folder) as run:
-            return read_verdict(run, datetime.now(UTC).date())
-    except (CellappError, OSError, ValueError, TypeError):  # the last three: values of a damaged or foreign file
-        return None  # the message line says what is wrong with the run
-
 
 _NOT_JUDGED = "Nothing is judged yet."
 _NOT_CHECKED = f"The calibration was not checked yet. {SHOWN['check']} measures a few stops: does it still hold?"
@@ -66,9 +43,7 @@ _SHOWN: tuple[tuple[Verb, StageName, str, str], ...] = (
     (CERTIFICATE_VERB, CERTIFICATE, "export", "Certificate"),
 )
 """Verbs that measure or state, their stages, the keys that do it again, and the tabs."""
-_READING = "reading the run ..."
 _NOMINAL = "Tests by ISO 9283 with nominal commands need no calibration."
-_UNREADABLE = "The run cannot be judged; the message line says what is wrong with it."
 
 
 class AcceptScreen(TabsScreen):
@@ -140,10 +115,6 @@ class AcceptScreen(TabsScreen):
         if (calibrated := self.calibrated_run()) is not None:
             self.start(verb_jobs.job_of(REPORT, folder=calibrated[0]))
 
-    def tab_shown(self, tabs: TabbedContent) -> None:
-        """Let the keys scroll the parts of the tab."""
-        self.call_after_refresh(tabs.query_one(f"#{tabs.active} PartsView").focus)
-
     def show_tab(self, title: str) -> None:
         """Show a tab."""
         tabs = self.query_one(TabbedContent)
@@ -158,15 +129,17 @@ class AcceptScreen(TabsScreen):
         for title, empty in (("Check", _NOT_CHECKED), ("ISO 9283", _NOT_TESTED), ("Certificate", _NO_CERTIFICATE)):
             needs = {"Check": state.not_calibrated, "Certificate": state.no_run}.get(title, "")
             busy = state.nothing(self.STEP, "") if state.job is not None and state.job.step == self.STEP else ""
-            locked = COPY_IT if state.workspace.read_only else ""
-            self.tab(title).say_empty(busy or needs or locked or empty)
-        if state.no_run:
-            self._draw_verdict(None, state.no_run)
-        elif state.not_calibrated:
-            self._draw_decision("", f"{state.not_calibrated} {_NOMINAL}")
+            self.tab(title).say_empty(busy or needs or empty)
+        decision, sentence = "", state.no_run
+        if self.workspace.verdict is not None:
+            verdict, _ = self.workspace.verdict
+            decision, sentence = verdict.state or "", f"{verdict.title}. {verdict.sentence}"
+        if state.not_calibrated and not state.no_run:
+            sentence = f"{state.not_calibrated} {_NOMINAL}"
+        self.query_one("#decision", Line).say(sentence, decision.replace(" ", "-"))
 
     def show_run(self, workspace: Workspace) -> None:
-        """Draw the content of the run, and judge it in a thread."""
+        """Draw the content of the run."""
         marks = () if workspace.overview is None else workspace.overview.complaints
         outdated = self.query_one("#outdated", Line)
         outdated.say("\n".join(f"! OUT OF DATE: {with_keys(mark)}" for mark in marks))
@@ -175,33 +148,4 @@ class AcceptScreen(TabsScreen):
             result = workspace.stored(stage)
             parts = () if result is None else verb.view(result).parts
             self.tab(title).show(words_first(parts), self.outdated(stage, key, "does it again"))
-        if workspace.folder is None:
-            self._draw_verdict(None, self.state.no_run)
-        else:
-            self._draw_decision("", _READING)
-            self._judge(workspace)
-
-    @in_thread(thread=True, exclusive=True, group="verdict")
-    def _judge(self, workspace: Workspace) -> None:
-        assert workspace.folder is not None
-        read = verdict(workspace.folder)
-        if not get_current_worker().is_cancelled:  # else another run is being read
-            self.call_later(self._show_verdict, workspace, read)
-
-    def _show_verdict(self, workspace: Workspace, read: tuple[Verdict, Parts] | None) -> None:
-        """Draw the judgements, unless another workspace was opened meanwhile."""
-        if workspace is self._shown:
-            self._draw_verdict(read, _UNREADABLE)
-
-    def _draw_verdict(self, read: tuple[Verdict, Parts] | None, why_not: str) -> None:
-        if read is None:
-            self._draw_decision("", why_not)
-            self.tab("Verdict").show([])
-            return
-        (verdict, parts), needs = read, self.state.not_calibrated
-        words = f"{needs} {_NOMINAL}" if needs else f"{verdict.title}. {verdict.sentence}"
-        self._draw_decision(verdict.state or "", words)
-        self.tab("Verdict").show(parts)
-
-    def _draw_decision(self, state: str, sentence: str) -> None:
-        self.query_one("#decision", Line).say(sentence, state.replace(" ", "-"))
+        self.tab("Verdict").show(() if workspace.verdict is None else workspace.verdict[1])

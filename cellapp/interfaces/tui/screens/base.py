@@ -22,9 +22,10 @@ from cellapp.interfaces.tui.job_record import JobRecord
 from cellapp.interfaces.tui.keys import way_of
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.verb_jobs import verb_job
-from cellapp.interfaces.tui.widgets.arm_panel import JobPanel, LiveStrip
+from cellapp.interfaces.tui.widgets.arm_panel import LiveStrip
 from cellapp.interfaces.tui.widgets.controls import KeyLine, Line
 from cellapp.interfaces.tui.widgets.header import DayHeader, StepLine
+from cellapp.interfaces.tui.widgets.progress_bars import ProgressBars
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
 if TYPE_CHECKING:
@@ -48,8 +49,6 @@ class DayScreen(Screen[None]):
 
     HORIZONTAL_BREAKPOINTS = [(0, "-narrow"), (100, "-medium"), (160, "-wide")]  # noqa: RUF012 - as Textual declares it
     STEP: ClassVar[Step]
-    SHOWS_JOB: ClassVar[bool] = True
-    """Whether the panel of the live job is above the body; a screen that shows the whole job has none."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -88,8 +87,7 @@ class DayScreen(Screen[None]):
         yield DayHeader()
         yield StepLine()
         yield LiveStrip()
-        if self.SHOWS_JOB:
-            yield JobPanel()
+        yield ProgressBars()
         yield Static(_TOO_SMALL, classes="too-small", markup=False)
         with Vertical(classes="body"):
             yield from self.body()
@@ -115,8 +113,7 @@ class DayScreen(Screen[None]):
         state = self.state
         record = self.cell_app.record
         self.query_one(DayHeader).show(state, self.workspace.kind, record)
-        for panel in self.query(JobPanel):
-            panel.show(record)
+        self.query_one(ProgressBars).show(record)
         if state != self._state:
             self.query_one(StepLine).show(state.marks, self.STEP)
             line = self.query_one(".next-words", Line)
@@ -201,7 +198,10 @@ class DayScreen(Screen[None]):
         self.tab_shown(tabs)
 
     def tab_shown(self, tabs: TabbedContent) -> None:
-        """Focus the content of the tab that the key has shown."""
+        """Let the keys go through the content of the tab that is shown now."""
+        if tabs.active_pane is not None:
+            for content in tabs.active_pane.query("DataTable, PartsView"):
+                self.call_after_refresh(content.focus)
 
     def show_runs(self) -> None:
         """List all runs; only the screen Cell does."""

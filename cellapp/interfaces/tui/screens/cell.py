@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import re
-from datetime import datetime, timedelta
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, cast
 
-from rich.text import Text
 from textual import on
 from textual.app import ComposeResult
 from textual.binding import BindingType
 from textual.containers import Horizontal, Vertical
-from textual.widgets import DataTable, OptionList, Static, TabbedContent, TabPane
+from textual.widgets import OptionList, TabbedContent, TabPane
 
 from cellapp.commands.docs.keys import SHOWN
 from cellapp.commands.doctor.request import VERB as DOCTOR
@@ -23,22 +21,18 @@ from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.keys import bind
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.controls import Line
-from cellapp.interfaces.tui.widgets.tables import CellMap, FindingsTable, TextTable, age_words, explain_tabs
+from cellapp.interfaces.tui.widgets.tables import CellMap, explain_tabs
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
 if TYPE_CHECKING:
     from cellapp.commands.doctor.result import DoctorResult
     from cellapp.ground.profile import Profile
     from cellapp.ground.results import Result
+    from cellapp.interfaces.tui.widgets.parts_view import PartsView
     from cellapp.interfaces.tui.widgets.runs_list import RunsList
 
-_REFRESH_S = 5.0
-"""Interval of drawing the age of the doctor's verdict."""
-_OLD = timedelta(minutes=10)
-"""Age from which the doctor's findings count as old: in that time somebody may have pressed a stop."""
-
-_PLACED = re.compile(r"(.+?):(\d+): (.*)")
-"""A problem of a profile: file, line, and what is wrong there."""
+_NOT_CHECKED = f"Not checked yet: {SHOWN['go']} asks the doctor; nothing moves."
+_ORDER = {"failed": 0, "warning": 1, "ok": 2}
 
 
 class CellScreen(DayScreen):
@@ -66,27 +60,23 @@ class CellScreen(DayScreen):
 
     def body(self) -> ComposeResult:
         with Horizontal():
-            yield _tipped(OptionList(id="profiles", markup=False, compact=True), "Profiles of the folder; Enter opens")
+            profiles = OptionList(id="profiles", markup=False, compact=True)
+            profiles.tooltip = "Profiles of the folder; Enter opens"
+            yield profiles
             with Vertical(id="cell-middle"):
                 yield Line(id="cell-verdict")
                 with TabbedContent(id="cell-tabs", initial="tab-profile"):
-                    with TabPane("Profile", id="tab-profile"):
-                        yield _tipped(TextTable(id="cell-words", cursor_type="row"), "What the profile says")
-                    with TabPane("Doctor", id="tab-doctor"):
-                        yield _tipped(
-                            FindingsTable(id="findings"), f"Checks, failed ones first; {SHOWN['go']} asks again"
-                        )
+                    yield TabPane("Profile", id="tab-profile")
+                    yield TabPane("Doctor", id="tab-doctor")
                     with TabPane("Map", id="tab-map"):
                         yield CellMap(id="cell-map")
                     yield TabPane("Runs", id="tab-runs")
-                yield Static("", id="cell-detail", markup=False)
 
     def on_mount(self) -> None:
         """List the profiles and open the first one."""
         self._found = offered_profiles(self.cell_app.profiles)
         profiles = self.query_one("#profiles", OptionList)
         profiles.add_options([path.stem for path in self._found])
-        self.query_one("#cell-words", DataTable).add_columns("what", "in the profile")
         explain_tabs(self.query_one("#cell-tabs", TabbedContent))
         if self._found:
             self.call_after_refresh(self._highlight_first)  # it is read in a thread, once the screen is drawn
@@ -97,7 +87,6 @@ class CellScreen(DayScreen):
                 "warning",
             )
         profiles.focus()
-        self.set_interval(_REFRESH_S, self._draw_age)
 
     def _highlight_first(self) -> None:
         profiles = self.query_one("#profiles", OptionList)
@@ -201,16 +190,29 @@ class CellScreen(DayScreen):
         if isinstance(result, DoctorResult):
             self._doctor, self._doctor_path, self._doctor_at = result, self._asked_path, datetime.now()
             self._doctor_profile, self._written_ns = self.workspace.profile, _written_ns(self._doctor_path)
-            self.query_one(FindingsTable).show(result)
+            self._show_findings(result)
             self.query_one("#cell-tabs", TabbedContent).active = "tab-doctor"
+
+    def _parts(self, tab: str) -> PartsView:
+        """Return the parts of a tab. Their first use loads numerics, which the start must not wait for."""
+        from cellapp.interfaces.tui.widgets.parts_view import PartsView
+
+        pane = self.query_one(f"#tab-{tab}", TabPane)
+        if not pane.query(PartsView):
+            pane.mount(PartsView(_NOT_CHECKED if tab == "doctor" else ""))
+        return pane.query_one(PartsView)
+
+    def _show_findings(self, result: DoctorResult) -> None:
+        """Show every check, failed ones first."""
+        ordered = sorted(result.findings, key=lambda finding: _ORDER[finding.status])
+        self._parts("doctor").show(DOCTOR.view(result.model_copy(update={"findings": ordered})).parts)
 
     # -- drawing -------------------------------------------------------------------------------------------------------
 
     def show_workspace(self, workspace: Workspace) -> None:
         """Draw the profile if it has changed, and the doctor's verdict, which grows old."""
         super().show_workspace(workspace)
-        self._draw_doctor()
-        self._draw_detail()
+        self.query_one("#cell-verdict", Line).say(*self._verdict())
 
     def show_run(self, workspace: Workspace) -> None:
         """Draw the profile."""
@@ -224,27 +226,16 @@ class CellScreen(DayScreen):
             self._runs.action_read()
         if workspace.profile != self._doctor_profile and workspace.profile_path != self._doctor_path:
             self._doctor = self._doctor_profile = None
-            self.query_one(FindingsTable).show(None)
+            self._parts("doctor").show(())
 
     def _show_profile(self, profile: Profile | None, problem: str) -> None:
-        words = self.query_one("#cell-words", DataTable)
-        words.clear()
-        if profile is None and problem:
-            for row in problem_rows(problem):
-                words.add_row(*map(Text, row))
-            self.query_one("#cell-tabs", TabbedContent).active = "tab-profile"
         if profile is not None:
-            from cellapp.commands.doctor.view import cell_words, constraint_words
+            from cellapp.commands.doctor.view import profile_tables
 
-            for row in (*cell_words(profile), *constraint_words(profile)):
-                words.add_row(*map(Text, row))
-
-    def _draw_age(self) -> None:
-        if self.is_current:
-            self._draw_doctor()
-
-    def _draw_doctor(self) -> None:
-        self.query_one("#cell-verdict", Line).say(*self._verdict())
+            self._parts("profile").show(profile_tables(profile))
+        elif problem:
+            self._parts("profile").show(problem.splitlines())
+            self.query_one("#cell-tabs", TabbedContent).active = "tab-profile"
 
     def _verdict(self) -> tuple[str, str]:
         """Return the doctor's verdict in words, and the class that colours it."""
@@ -256,39 +247,13 @@ class CellScreen(DayScreen):
                 return f"{first}{' ...' if more else ''} ({SHOWN['edit']} edits it)", "failed"
             return f"No profile is open: choose one in the list, or press {SHOWN['open']}.", "failed"
         if self._doctor is None:
-            return f"Not checked yet: {SHOWN['go']} asks the doctor; nothing moves.", "old"
+            return _NOT_CHECKED, "old"
         from cellapp.commands.doctor.view import doctor_verdict
 
-        words, age = doctor_verdict(self._doctor), datetime.now() - self._doctor_at
+        words = f"{doctor_verdict(self._doctor)} Checked at {self._doctor_at:%H:%M}."
         if _written_ns(self._doctor_path) != self._written_ns:
             return f"Old, the profile was edited since: {words} {SHOWN['go']} checks again.", "old"
-        if age > _OLD:
-            return f"Old, from {age_words(age.total_seconds())}: {words} {SHOWN['go']} checks again.", "old"
         return words, "failed" if self._doctor.failed else "ready"
-
-    @on(DataTable.RowHighlighted)
-    @on(TabbedContent.TabActivated)
-    def _draw_detail(self) -> None:
-        """Draw the full text of the selected row of the front table."""
-        active = self.query_one("#cell-tabs", TabbedContent).active
-        words: DataTable[Text] = self.query_one("#cell-words", DataTable)
-        text = ""
-        if active == "tab-doctor":
-            text = self.query_one(FindingsTable).selected_text
-        elif active == "tab-profile" and words.row_count:
-            text = ": ".join(str(cell) for cell in words.get_row_at(words.cursor_row))
-        self.query_one("#cell-detail", Static).update(text)
-
-
-def problem_rows(problem: str) -> list[tuple[str, str]]:
-    """Return where and what is wrong with a profile, a row for each line of its problem."""
-    found = [(_PLACED.match(line), line) for line in problem.splitlines()]
-    return [("", line) if at is None else (f"{Path(at[1]).name}:{at[2]}", at[3]) for at, line in found]
-
-
-def _tipped(widget: OptionList | DataTable[Text], tooltip: str) -> OptionList | DataTable[Text]:
-    widget.tooltip = tooltip
-    return widget
 
 
 def _written_ns(path: Path | None) -> int:

@@ -5,22 +5,20 @@ The headline of the screen Collect: the state, and what can be done now. Draws n
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import time
+from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import datetime
-from functools import partial
 from pathlib import Path
 from typing import ClassVar, Literal, get_args
 
-from textual import on, work
+from textual import on
 from textual.app import ComposeResult
 from textual.binding import BindingType
 from textual.containers import Container, Horizontal
 from textual.content import Content
-from textual.events import Resize
 from textual.widgets import Static
 
-from cellapp.cell.run import RunFile
 from cellapp.commands.collect.charts import (
     drift_chart,
     live_drift_chart,
@@ -30,19 +28,17 @@ from cellapp.commands.collect.charts import (
 )
 from cellapp.commands.collect.request import VERB as COLLECT
 from cellapp.commands.collect.view import collection_tables
-from cellapp.commands.docs.keys import KEYS, SHOWN
-from cellapp.commands.show.overview import run_log
+from cellapp.commands.docs.keys import SHOWN
 from cellapp.commands.view.charts import Chart
 from cellapp.ground.control import Request
 from cellapp.ground.counting import counted
-from cellapp.ground.errors import CellappError
 from cellapp.ground.progress import JobState
 from cellapp.interfaces.tui import verb_jobs as jobs
 from cellapp.interfaces.tui.dialogs.question import BEGIN, Choice
-from cellapp.interfaces.tui.job_record import LEVELS, ArmRecord, JobRecord, LogRow, level_of
+from cellapp.interfaces.tui.job_record import ArmRecord, JobRecord, LogRow, level_of
 from cellapp.interfaces.tui.jobs import Job
 from cellapp.interfaces.tui.keys import bind
-from cellapp.interfaces.tui.run_state import COPY_IT, RunState, holds_for_drift
+from cellapp.interfaces.tui.run_state import RunState, holds_for_drift
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.terminal import since_words
 from cellapp.interfaces.tui.widgets.arm_panel import ArmPanel, TrackerPanel
@@ -51,7 +47,6 @@ from cellapp.interfaces.tui.widgets.collected_stops import CollectedStops
 from cellapp.interfaces.tui.widgets.controls import Line
 from cellapp.interfaces.tui.widgets.log_pane import LogPane
 from cellapp.interfaces.tui.widgets.parts_view import PartsView
-from cellapp.interfaces.tui.widgets.progress_bars import ProgressBars, parts_of
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
 Look = Literal["idle", "running", "waiting", "halted", "done"]
@@ -100,53 +95,40 @@ def headline(run: RunState, record: JobRecord, request: Request) -> Headline:
 
 
 def _of_run(state: RunState) -> Headline:
+    cell, todo, measured = state.workspace, state.remaining, state.measured
     if state.no_run:
-        return Headline("NO CELL" if state.stored == "no cell" else "NO RUN", state.no_run, "idle")
+        return Headline("NO RUN", state.no_run, "idle")
     if state.reading:
         return Headline("READING", state.reading, "idle")
-    if state.workspace.in_use:
-        return Headline(
-            "IN USE", f"by {state.workspace.in_use}. Shown is what was stored when it was opened.", "waiting"
-        )
-    word, sentence, look = _of_stops(state)
-    if state.workspace.read_only:
-        sentence = COPY_IT
-    elif state.workspace.drifts and state.remaining:
-        sentence = f"The references moved beyond their limit: {SHOWN['drift']} accepts that and resumes. {sentence}"
-    return Headline(word, sentence, look)
-
-
-def _of_stops(state: RunState) -> tuple[str, str, Look]:
-    go, on, todo, measured = SHOWN["go"], f"{SHOWN['next']} goes to the next step", state.remaining, state.measured
+    if cell.in_use:
+        return Headline("IN USE", f"by {cell.in_use}. Shown is what was stored when it was opened.", "waiting")
     if not todo and not measured:
-        return "NO PLAN", f"This run has no stops to measure: keys 2, {go} plan a run.", "idle"
+        return Headline("NO PLAN", "This run has no stops to measure.", "idle")
     if not todo:
-        return f"COMPLETE, {counted(measured, 'stop')}", f"{on}.", "done"
-    if not measured:
-        return f"READY, {counted(todo, 'stop')}", f"{go} begins. Nothing moves before it is confirmed.", "idle"
-    if state.workspace.outcome == "accurate enough":
-        sentence = f"{on}; {go} measures the {counted(todo, 'stop')} that are left."
-        return f"ACCURATE ENOUGH, {measured} of {counted(measured + todo, 'stop')}", sentence, "idle"
-    if state.workspace.outcome == "complete":
-        return (f"{todo} MORE STOPS", f"{measured} are measured; {go} measures those that were planned since.", "idle")
-    sentence = f"{go} measures the {counted(todo, 'stop')} that are left."
-    return f"INTERRUPTED, {measured} of {counted(measured + todo, 'stop')}", sentence, "idle"
+        return Headline(f"COMPLETE, {counted(measured, 'stop')}", "Nothing is left to measure.", "done")
+    left = counted(todo, "stop that is left", "stops that are left")
+    sentence = f"{SHOWN['go']} measures {left}. Nothing moves before it is confirmed."
+    if cell.read_only:
+        sentence = f"{state.next_words}."
+    elif cell.drifts:
+        sentence = f"The references moved beyond their limit: {SHOWN['drift']} accepts that and resumes. {sentence}"
+    if not measured or cell.outcome == "complete":  # others were planned since
+        return Headline(f"READY, {counted(todo, 'stop')}", sentence, "idle")
+    word = "ACCURATE ENOUGH" if cell.outcome == "accurate enough" else "INTERRUPTED"
+    return Headline(f"{word}, {measured} of {counted(measured + todo, 'stop')}", sentence, "idle")
 
 
 View = Literal["log", "plots", "stops", "collected"]
 _VIEWS: tuple[View, ...] = get_args(View)
 _PLOTS = ("residuals", "errors", "drift")
-_TALL = 50
-"""Smallest number of lines of a terminal with one line for each part of a day."""
-_PLOTTING_S = 0.2
-"""Interval between the drawings of two plots: a stop takes seconds, and a plot on a large screen about 10 ms."""
+_PLOTTING_S = 1.0
+"""Least time between two drawings of the plots while a job runs: they take some 10 ms each on a large screen."""
 
 
 class CollectScreen(DayScreen):
     """Drive and measure; watch it; resume it."""
 
     STEP: ClassVar[Step] = "collect"
-    SHOWS_JOB: ClassVar[bool] = False
     VERTICAL_BREAKPOINTS = [(0, "-low"), (34, "-tall")]  # noqa: RUF012 - as Textual declares it
     BINDINGS: ClassVar[list[BindingType]] = [
         bind("go", "begin", "Begin", "measure the stops that are left: THE ARMS MOVE"),
@@ -156,14 +138,13 @@ class CollectScreen(DayScreen):
         bind("tab", "next_tab", "Next tab", "from the log to the plots, the stops, the tables"),
         bind("after", "step(1)", "Next stop", "go to the next stop of the list", show=False),
         bind("before", "step(-1)", "Stop before", "go to the stop before", show=False),
-        *(bind(level, f"least('{level}')", f"Log: {level}", KEYS[level].meaning, show=False) for level in LEVELS),
     ]
 
     def __init__(self) -> None:
         super().__init__()
         self._plot = 0
-        self._plotted: dict[str, tuple[object, ...]] = {}
-        self._plot_waits = False
+        self._plotted: tuple[object, ...] = ()
+        self._plotted_s = 0.0
         self._opened: Path | None = None
         self._job: Job | None = None
         self._suspicions = 0
@@ -173,7 +154,6 @@ class CollectScreen(DayScreen):
         yield Line(id="state")
         yield Horizontal(id="arms")
         yield TrackerPanel()
-        yield ProgressBars()
         yield Static("", id="suspicions", markup=False)
         with Container(id="plots"):
             for name in _PLOTS:
@@ -190,10 +170,6 @@ class CollectScreen(DayScreen):
             plot.tooltip = "Errors of the newest points, standard errors, drift of the references."
         self.query_one(f"#{_PLOTS[0]}").add_class("chosen")
         self.query_one(LogPane).view.focus()
-
-    def on_resize(self, event: Resize) -> None:
-        """Use one line for all parts in a low terminal."""
-        self.query_one(ProgressBars).compact = event.size.height < _TALL
 
     # -- begin, resume, accept -----------------------------------------------------------------------------------------
 
@@ -269,37 +245,6 @@ class CollectScreen(DayScreen):
         """Go to another stop of the list."""
         self.query_one(CollectedStops).step(step)
 
-    def action_least(self, level: str) -> None:
-        """Show a level of the log and the more important ones."""
-        self.query_one(LogPane).show_from(level_of(level))
-
-    # -- the stored log ------------------------------------------------------------------------------------------------
-
-    @work(thread=True, exclusive=True, group="stored log")
-    def _read_log(self, folder: Path) -> None:
-        try:
-            with RunFile.open(folder) as run:
-                lines = run_log(run).lines
-        except CellappError as error:
-            self.call_later(self._show_stored, folder, (), str(error))
-            return
-        rows = [
-            LogRow(datetime.fromisoformat(line.written).astimezone(), level_of(line.level), line.text) for line in lines
-        ]
-        self.call_later(self._show_stored, folder, rows)
-
-    def _show_stored(self, folder: Path, rows: Sequence[LogRow], problem: str = "") -> None:
-        """Draw the log stored in a run, if it is still wanted."""
-        pane = self.query_one(LogPane)
-        if folder != self.workspace.folder or self.cell_app.jobs.running:
-            return
-        if problem:
-            self.say(problem, "warning")
-        elif rows:
-            pane.show(f"Log stored in {folder.name}", rows)
-        else:
-            pane.show_session(self.cell_app.record)
-
     # -- drawing -------------------------------------------------------------------------------------------------------
 
     def show_workspace(self, workspace: Workspace) -> None:
@@ -308,8 +253,18 @@ class CollectScreen(DayScreen):
         if workspace.folder != self._opened and not self.cell_app.jobs.running:
             self._opened = workspace.folder
             self.action_view(self._first_view)
-            if workspace.folder is not None:
-                self._read_log(workspace.folder)
+            self._show_log(workspace)
+
+    def _show_log(self, workspace: Workspace) -> None:
+        """Draw the log stored in a run; that of this session if the run has none."""
+        rows = [
+            LogRow(datetime.fromisoformat(line.written).astimezone(), level_of(line.level), line.text)
+            for line in workspace.log
+        ]
+        if rows and workspace.folder is not None:
+            self.query_one(LogPane).show(f"Log stored in {workspace.folder.name}", rows)
+        else:
+            self.query_one(LogPane).show_session(self.cell_app.record)
 
     def show_run(self, workspace: Workspace) -> None:
         """Draw the tables of what was collected."""
@@ -334,8 +289,6 @@ class CollectScreen(DayScreen):
             record = JobRecord()  # the job was about another run
         self._draw_arms(record)
         self.query_one(TrackerPanel).tracker = record.tracker
-        told = running or "collect" in record.progress  # the result of another finished job is on its own screen
-        self.query_one(ProgressBars).parts = parts_of(record) if told else ()
         self._draw_suspicions(record)
         self.set_class(record.state is None and not record.arms, "unheard")
         self._draw_plots(record)
@@ -378,25 +331,19 @@ class CollectScreen(DayScreen):
         if record.suspicions:
             newest = record.suspicions[-1]
             before = len(record.suspicions) - 1
-            more = f" ({before} before: {SHOWN['warning']} shows them)" if before else ""
+            more = f" ({before} before: {SHOWN['filter']} in the log shows them)" if before else ""
             arm = "" if newest.arm is None else f", arm {newest.arm}"
             box.update(f"! {newest.kind.upper()}{arm}: {newest.text}{more}")
 
     def _draw_plots(self, record: JobRecord) -> None:
-        """Draw the plots with new data; while a job runs, one at a time, because drawing delays keys."""
-        if self._plot_waits:
+        """Draw the plots of new data; while a job runs once a second at most, because drawing delays keys."""
+        reports, chosen = sum(map(len, record.stops.values())), self.query_one(CollectedStops).chosen
+        data, now_s = (record.name, reports, len(record.references), self.workspace, chosen), time.monotonic()
+        if data == self._plotted or (record.state is not None and now_s < self._plotted_s + _PLOTTING_S):
             return
-        chosen = self.query_one(CollectedStops).chosen
-        stops = (record.name, sum(map(len, record.stops.values())), len(record.references), self.workspace, chosen)
-        oldest_first = (*(name for name in _PLOTS if name not in self._plotted), *self._plotted)
-        for name in (name for name in oldest_first if self._plotted.get(name) != stops):
+        self._plotted, self._plotted_s = data, now_s
+        for name in _PLOTS:
             self.query_one(f"#{name}", ChartPlot).chart = self._chart(name, record)
-            self._plotted.pop(name, None)
-            self._plotted[name] = stops  # now the newest
-            if record.state is not None:
-                self._plot_waits = True
-                self.set_timer(_PLOTTING_S, partial(self._draw_next_plot, record))
-                break
         empty = {plot: plot.chart is None or plot.chart.is_empty for plot in self.query(ChartPlot)}
         for plot, nothing in empty.items():
             plot.set_class(nothing, "empty")
@@ -406,10 +353,6 @@ class CollectScreen(DayScreen):
     def mark_chosen(self) -> None:
         """Mark the stop under the cursor in the plot of the residuals."""
         self.show_job(self.cell_app.record)
-
-    def _draw_next_plot(self, record: JobRecord) -> None:
-        self._plot_waits = False
-        self._draw_plots(record)
 
     def _chart(self, name: str, record: JobRecord) -> Chart:
         """Return a chart of the job, or of the stored data if the job has no stop or no reference."""
@@ -424,4 +367,4 @@ class CollectScreen(DayScreen):
                 collection.stops, self._arm_names(record), self.query_one(CollectedStops).chosen
             )
         draw = live_residual_chart if name == "residuals" else standard_error_chart
-        return draw(reports, self._arm_names(record), self.state.residuals_words)
+        return draw(reports, self._arm_names(record), self.state.not_collected)

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
-from rich.text import Text
 from textual import on
 from textual.app import ComposeResult
 from textual.binding import BindingType
-from textual.widgets import DataTable, Static, TabbedContent, TabPane
+from textual.widgets import TabbedContent, TabPane
 
 from cellapp.commands.docs.keys import SHOWN
 from cellapp.commands.export.request import VERB as EXPORT
 from cellapp.commands.plan.request import VERB as PLAN
+from cellapp.commands.show.request import VERB as SHOW
+from cellapp.commands.show.result import Shown
+from cellapp.commands.view.table import Cell, Table, columns_of
 from cellapp.ground.counting import counted
 from cellapp.interfaces.tui import verb_jobs as verbs
 from cellapp.interfaces.tui.keys import bind
@@ -22,10 +25,11 @@ from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.controls import Line
 from cellapp.interfaces.tui.widgets.parts_view import PartsView
-from cellapp.interfaces.tui.widgets.tables import CellMap, StopsTable, explain_tabs
+from cellapp.interfaces.tui.widgets.tables import CellMap, TextTable, explain_tabs
 from cellapp.interfaces.tui.workspace import Step, Workspace, new_folder
 
 if TYPE_CHECKING:
+    from cellapp.cell.planning.planned_stops import PlannedStops
     from cellapp.cell.planning.records import PlanCheckResult, PlanForecastResult
     from cellapp.commands.plan.result import PlannedStop
     from cellapp.ground.results import Result
@@ -58,6 +62,7 @@ class PlanScreen(DayScreen):
     def __init__(self) -> None:
         super().__init__()
         self._planned: tuple[object, ...] = ()
+        self._listed: Workspace | None = None
         self._check: PlanCheckResult | None = None
         self._forecast: PlanForecastResult | None = None
         self._file_check: PlanCheckResult | None = None
@@ -72,14 +77,13 @@ class PlanScreen(DayScreen):
             with TabPane("Design", id="tab-design"):
                 yield PartsView(id="plan-design")
             with TabPane("Stops", id="tab-stops"):
-                yield StopsTable(id="stops")
+                yield TextTable(id="stops", cursor_type="row")
             with TabPane("Forecast", id="tab-forecast"):
                 yield PartsView(_NO_FORECAST, id="forecast")
             with TabPane("Check", id="tab-check"):
                 yield PartsView(_NO_CHECK, id="refusals")
             with TabPane("Above", id="tab-above"):
                 yield CellMap(id="plan-above")
-        yield Static("", id="plan-detail", markup=False)
 
     def on_mount(self) -> None:
         """Explain the tabs."""
@@ -127,18 +131,12 @@ class PlanScreen(DayScreen):
     def action_check(self) -> None:
         """Check the plan of the open run."""
         if folder := self.planned_folder():
-            self.start(verbs.check_plan(folder))
+            self.start(verbs.job_of(SHOW, folder=folder, part="plan", check=True))
 
     def action_forecast(self) -> None:
         """Forecast the results of the open run's plan."""
         if folder := self.planned_folder():
-            self.start(verbs.forecast_plan(folder))
-
-    def tab_shown(self, tabs: TabbedContent) -> None:
-        """Focus the stops or the tables of the tab."""
-        if tabs.active_pane is not None:
-            for content in tabs.active_pane.query("StopsTable, PartsView"):
-                content.focus()
+            self.start(verbs.job_of(SHOW, folder=folder, part="plan", forecast=True))
 
     # -- drawing -------------------------------------------------------------------------------------------------------
 
@@ -147,6 +145,7 @@ class PlanScreen(DayScreen):
         from cellapp.cell.planning.records import PlanCheckResult, PlanForecastResult
 
         tabs = self.query_one("#plan-tabs", TabbedContent)
+        result = result.result if isinstance(result, Shown) and result.result is not None else result
         if isinstance(result, PlanCheckResult) and result.file is not None:
             self._file_check = result
             tabs.active = "tab-check"
@@ -177,6 +176,7 @@ class PlanScreen(DayScreen):
         for drawn in self.query(CellMap):
             drawn.show_cell(workspace.profile, _stops_of(workspace))
         self.query_one("#plan-design", PartsView).show(() if workspace.stops is None else design_parts(workspace.stops))
+        self._list_stops()
         self._draw_results()
 
     def show_state(self, state: RunState) -> None:
@@ -199,7 +199,6 @@ class PlanScreen(DayScreen):
         line = self.query_one("#plan-time", Line)
         line.say(words)
         line.display = bool(words)
-        self._draw_detail()
 
     def _draw_check(self, *, has_plan: bool) -> None:
         """Draw the verdict on the open run's plan, and the refusals of this plan or of the last checked edited plan."""
@@ -212,15 +211,27 @@ class PlanScreen(DayScreen):
         listed = self._file_check or check
         self.query_one("#refusals", PartsView).show(() if listed is None else _check_lines(listed))
 
-    @on(DataTable.RowHighlighted)
     @on(TabbedContent.TabActivated)
-    def _draw_detail(self) -> None:
-        """List the stops and describe the selected one while their tab is shown: thousands take half a second."""
-        detail, table = self.query_one("#plan-detail", Static), self.query_one(StopsTable)
-        detail.display = self.query_one("#plan-tabs", TabbedContent).active == "tab-stops"
-        if detail.display:
-            table.show(_stops_of(self.workspace), self.workspace.ways)
-        detail.update(Text(table.selected_text))
+    def _list_stops(self) -> None:
+        """List the stops while their tab is shown: words for thousands take half a second."""
+        if self._listed is not self.workspace and self.query_one("#plan-tabs", TabbedContent).active == "tab-stops":
+            self._listed, table = self.workspace, self.query_one(TextTable)
+            table.show(_stops_table(_stops_of(self.workspace), self.workspace.ways), table.cursor_row)
+
+
+def _stops_table(stops: Sequence[PlannedStop], ways: PlannedStops | None) -> Table:
+    """Return the stops, counted from 1: how each is reached and what it is for, and its joint positions."""
+    from cellapp.commands.plan.check_view import stop_words
+
+    rows: list[tuple[Cell, ...]] = []
+    for stop in stops:
+        assert ways is not None  # a run with stops has them
+        at = stop.configuration
+        joints = (", ".join(f"{math.degrees(angle):z.0f}" for angle in q) for q in stop.q.values())
+        frozen, state = "frozen" if ways.frozen[at] else "", "measured" if stop.measured else "planned"
+        rows.append((at + 1, state, frozen, str(ways.block[at] + 1), stop_words(ways, at), *joints))
+    angles = [f"{name} [deg]" for name in stops[0].q] if stops else []
+    return Table("Stops", columns_of(("stop", "d"), "state", "frozen", "part", "how", *angles), tuple(rows))
 
 
 def _stops_of(workspace: Workspace) -> Sequence[PlannedStop]:
@@ -244,7 +255,7 @@ def _state_words(state: RunState, workspace: Workspace) -> str:
         return NO_PLAN
     reserves = len(_stops_of(workspace)) - state.planned
     more = f" and {reserves} in reserve" if reserves else ""
-    now = state.measured if state.collecting else 0
+    now = 0 if state.job is None else state.job.stops or 0
     arms = [
         f"arm {name}: {counted(arm.planned, 'stop')}{more}, {max(arm.measured, now)} measured"
         for name, arm in workspace.overview.arms.items()

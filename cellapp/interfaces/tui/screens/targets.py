@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import ClassVar
 
-from rich.text import Text
 from textual import on
 from textual import work as in_thread
 from textual.app import ComposeResult
@@ -280,11 +280,6 @@ class TargetsScreen(DayScreen):
         tabs.active = name
         tabs.query_one(Tabs).focus()  # the list, which has the focus, would bring its tab back
 
-    def tab_shown(self, tabs: TabbedContent) -> None:
-        """Focus the list."""
-        if tabs.active == "list":
-            self._grid.focus()
-
     # -- drawing -------------------------------------------------------------------------------------------------------
 
     def show_state(self, state: RunState) -> None:
@@ -315,19 +310,13 @@ class TargetsScreen(DayScreen):
         only = f"\nonly targets that need attention; {SHOWN['filter']} shows all" if self._attention else ""
         heading = EMPTY if self._path is None else f"{self._path} · {counted(len(self._targets), 'target')}"
         self.query_one("#about-list", Static).update(heading + mark + only)
-        table, grid = target_list(self._targets, results), self._grid
-        row = grid.cursor_row
-        grid.clear(columns=True)
-        self._rows = self._shown_rows()
+        table, self._rows = target_list(self._targets, results), self._shown_rows()
         texts = table.text_rows()
-        rows = [[_cut(cell) for cell in texts[index]] for index in self._rows]
-        shown = _fitting([max(map(len, column)) for column in zip(table.headings, *rows)], self.size.width - _BESIDE)
-        sides: list[Literal["left", "right"]] = ["right" if column.is_number else "left" for column in table.columns]
-        for heading, side in zip(table.headings[:shown], sides):
-            grid.add_column(Text(heading, justify=side))
-        for cells in rows:
-            grid.add_row(*(Text(cell, justify=side) for cell, side in zip(cells[:shown], sides)))
-        grid.move_cursor(row=row)
+        rows = [tuple(map(_cut, texts[index])) for index in self._rows]
+        widths = [max(map(len, column)) for column in zip(table.headings, *rows, strict=True)]
+        shown = _fitting(widths, self.size.width - _BESIDE)
+        fitting = replace(table, columns=table.columns[:shown], rows=tuple(row[:shown] for row in rows))
+        self._grid.show(fitting, self._grid.cursor_row)
         self._draw_target()
 
     @on(DataTable.RowHighlighted, "#grid")

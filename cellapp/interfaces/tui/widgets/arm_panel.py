@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from itertools import islice
 from typing import cast
 
 from textual.app import ComposeResult
@@ -18,18 +17,8 @@ from textual.widget import Widget
 
 from cellapp.ground.progress import CellLive
 from cellapp.interfaces.tui.host import Host
-from cellapp.interfaces.tui.job_record import (
-    HALT_WORDS,
-    Activity,
-    ArmRecord,
-    JobRecord,
-    Look,
-    TrackerRecord,
-    banner_of,
-    strip_of,
-)
+from cellapp.interfaces.tui.job_record import HALT_WORDS, Activity, ArmRecord, Look, TrackerRecord, banner_of, strip_of
 from cellapp.interfaces.tui.widgets.controls import Line
-from cellapp.interfaces.tui.widgets.progress_bars import ProgressBars, parts_of
 
 _STYLES: Mapping[Activity, str] = {
     "unknown": "$text-muted",
@@ -142,52 +131,6 @@ def tracker_words(tracker: TrackerRecord) -> str:
         humidity = "" if air.humidity_percent is None else f", {air.humidity_percent:.0f} %"
         parts.append(f"air {air.temperature_c:.2f} °C{pressure}{humidity}")
     return " · ".join(parts) or "has measured nothing yet"
-
-
-# ---------------------------------------------------------------------------------------------------------------------
-# The live job on every screen: its parts with bars, rate and remaining time, each arm's activity, the newest lines.
-
-
-_TALL, _HUGE = 34, 50
-"""Numbers of terminal lines from which more of the job is shown."""
-_LEVEL_STYLES = {"warning": "$text-warning", "error": "bold $text-error"}
-
-
-class JobPanel(Vertical):
-    """Panel of the live job, hidden while no job runs."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.tooltip = "The job: its parts, steps a minute, the time that is left; each arm; its newest lines."
-
-    def compose(self) -> ComposeResult:
-        yield ProgressBars()
-        yield Line(classes="arms")
-        yield Line(classes="newest")
-
-    def on_mount(self) -> None:
-        """Draw a job that is already running."""
-        self.show(cast(Host, self.app).record)
-
-    def show(self, record: JobRecord) -> None:
-        """Draw the current state of the job."""
-        self.set_class(record.state is not None, "shown")
-        if record.state is None or not self.children:  # its own widgets are mounted a moment later
-            return
-        height = self.app.size.height
-        bars = self.query_one(ProgressBars)
-        bars.compact, bars.parts = height < _HUGE, parts_of(record)
-        bars.styles.height = bars.lines  # set explicitly: its container does not ask again
-        arms = "   ".join(
-            f"{name} {activity_words(arm)}" for name, arm in record.arms.items() if arm.activity != "unknown"
-        )
-        most = 1 if height < _TALL else 3 if height < _HUGE else 5
-        line = self.query_one(".arms", Line)
-        line.display = bool(arms)
-        line.say(arms)
-        newest = [*islice((row for row in reversed(record.log) if row.level != "debug"), most)][::-1]
-        lines = [Content.styled(f"{row.at:%H:%M:%S} {row.text}", _LEVEL_STYLES.get(row.level, "")) for row in newest]
-        self.query_one(".newest", Line).say(Content("\n").join(lines))
 
 
 _STRIP_STYLES: Mapping[Look, str] = {

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import partial
-from typing import ClassVar, Literal
+from typing import ClassVar
 
-from rich.text import Text
 from textual import on
 from textual.app import ComposeResult
 from textual.binding import BindingType
@@ -20,9 +17,6 @@ from cellapp.commands.docs.keys import SHOWN
 from cellapp.ground.counting import counted
 from cellapp.interfaces.tui.keys import bind
 from cellapp.interfaces.tui.widgets.tables import TextTable
-
-_AT_ONCE, _SOON_S = 80, 0.02
-"""Rows that are drawn together, and the interval [s] to the next ones: hundreds would hold up keys."""
 
 
 class CollectedStops(Vertical):
@@ -98,7 +92,7 @@ class CollectedStops(Vertical):
         """Note that the cursor is on another stop."""
         event.stop()
         row = event.cursor_row
-        chosen = self._shown[row] if event.row_key.value is not None and row < len(self._shown) else None
+        chosen = self._shown[row] if row < len(self._shown) else None
         if chosen is not None and chosen != self.chosen:
             self.chosen = chosen
             self.post_message(self.Chosen())
@@ -116,29 +110,9 @@ class CollectedStops(Vertical):
     def _draw(self) -> None:
         """Filter and draw; the cursor stays on its stop if that is still shown."""
         self._shown = [one for one in self._stops if one.suspicion or not self._only_suspicious]
-        whole = stops_table(self._shown)
-        table, texts, chosen = self.table, whole.text_rows(), self.chosen
-        sides: list[Literal["left", "right"]] = ["right" if column.is_number else "left" for column in whole.columns]
-        table.clear(columns=True)
-        for column, side in zip(whole.columns, sides, strict=True):
-            table.add_column(Text(column.heading, justify=side))
-        shown, at = self._shown, self._shown.index(chosen) if chosen in self._shown else 0
-
-        def add(rows: Sequence[int], most: int = _AT_ONCE) -> None:
-            """Add rows; keys are handled between the others."""
-            if shown is not self._shown:
-                return  # drawn anew meanwhile
-            for row in rows[:most]:
-                style = "reverse" if shown[row].stop in self._marked else ""
-                cells_of_row = (("* " if style else "") + texts[row][0], *texts[row][1:])
-                words = (Text(text, style, justify=side) for text, side in zip(cells_of_row, sides, strict=True))
-                table.add_row(*words, key=f"{shown[row].stop} {shown[row].arm}")
-            if len(rows) > most:
-                self.set_timer(_SOON_S, partial(add, rows[most:]))
-
-        add(range(len(shown)), at + _AT_ONCE)
-        if chosen in self._shown:
-            table.move_cursor(row=at)
+        row = self._shown.index(self.chosen) if self.chosen in self._shown else 0
+        marked = [number for number, one in enumerate(self._shown) if one.stop in self._marked]
+        self.table.show(stops_table(self._shown), row, marked)
         self._say()
 
     def _say(self) -> None:

@@ -4,19 +4,22 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Iterable
+from typing import ClassVar
 
 from rich.text import Text
 from textual.app import ComposeResult
+from textual.binding import BindingType
 from textual.containers import Vertical
 from textual.events import Resize
 from textual.widgets import RichLog, Static
 
 from cellapp.interfaces.tui.job_record import LEVELS, MOST_LINES, JobRecord, Level, LogRow
+from cellapp.interfaces.tui.keys import bind
 
 THIS_SESSION = "Log of this session"
-MARKS: dict[Level, str] = {"debug": "·", "info": " ", "warning": "!", "error": "✖"}
+MARKS: dict[Level, str] = {"info": " ", "warning": "!", "error": "✖"}
 """One character for each level, in addition to its style."""
-_STYLES: dict[Level, str] = {"debug": "dim", "info": "", "warning": "bold", "error": "bold reverse"}
+_STYLES: dict[Level, str] = {"info": "", "warning": "bold", "error": "bold reverse"}
 _DRAWN = 1000
 """Most rows that are drawn anew, for another filter or width; older ones are in the run file."""
 
@@ -31,6 +34,10 @@ class LogView(RichLog):
 
 class LogPane(Vertical):
     """A log with a heading; ``shown`` are the rows that pass the filter."""
+
+    BINDINGS: ClassVar[list[BindingType]] = [
+        bind("filter", "filter", "Only warnings", "show only warnings and errors; again: all lines")
+    ]
 
     def __init__(self, *, id: str | None = None) -> None:
         super().__init__(id=id)
@@ -82,9 +89,9 @@ class LogPane(Vertical):
         self.view.auto_scroll = True
         self._draw()
 
-    def show_from(self, level: Level) -> None:
-        """Show a level and the more important ones."""
-        self.least = level
+    def action_filter(self) -> None:
+        """Show only warnings and errors, or all lines again."""
+        self.least = "info" if self.least == "warning" else "warning"
         self._draw()
 
     def on_resize(self, event: Resize) -> None:

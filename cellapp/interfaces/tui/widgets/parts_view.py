@@ -39,9 +39,9 @@ class PartsView(VerticalScroll):
     """
 
     def __init__(self, empty: str = "", *, id: str | None = None) -> None:
-        super().__init__(Static(empty, classes="muted", markup=False), id=id)
+        super().__init__(id=id)
         self._empty = empty
-        self._late: Callable[[], Iterable[Widget]] | None = None
+        self._late: Callable[[], Iterable[Widget]] | None = tuple
         self._lines: tuple[Part, ...] = ()
         self.tooltip = "up, down, Page Up, Page Down scroll"
 
