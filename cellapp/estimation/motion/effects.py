@@ -686,7 +686,7 @@ def _best_shares(
 def _largest_torques(problem: MotionProblem) -> Array:
     """Return the largest torque (N,) [Nm] of each joint in all recordings."""
     paths = [track.path for track in problem.tracks]
-    times = [np.linspace(*path.stamps.time_s[[0, -1]], _TORQUES) for path in paths]
+    times = [np.linspace(path.stamps.time_s[0], path.stamps.time_s[-1], _TORQUES) for path in paths]
     torques = [state_in_motion(path, its, problem.masses).torque for path, its in zip(paths, times, strict=True)]
     return np.asarray(np.abs(np.concatenate(torques)).max(axis=0))
 

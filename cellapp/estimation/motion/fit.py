@@ -121,9 +121,12 @@ class Source:
 def with_lags_in_clocks(problem: MotionProblem, solution: Solution) -> tuple[Array, Array]:
     """Return values and covariance with the mean of the joints' lags counted to the offsets of the clocks: only their
     sum is known."""
-    lags = [place for place, term in enumerate(problem.terms, problem.geometric) if term.law is JointLaw.LAG]
+    lags = np.array(
+        [place for place, term in enumerate(problem.terms, problem.geometric) if term.law is JointLaw.LAG],
+        dtype=np.intp,
+    )
     apart = np.eye(len(solution.values))
-    if lags:
+    if len(lags):
         offsets = np.concatenate([problem.clock(number)[:-1] for number in range(len(problem.tracks))])
         apart[np.ix_(lags, lags)] -= 1.0 / len(lags)
         apart[np.ix_(offsets, lags)] += 1.0 / len(lags)
