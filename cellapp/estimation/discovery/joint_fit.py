@@ -539,6 +539,8 @@ def reweighted(data: ArmData, terms: ModelTerms) -> tuple[ArmData, Identificatio
     if smooth is not None:
         return replace(data, sigma=uncertainty_with_scatter(data, smooth.scatter)), None
     if data.stated is None:
+        # a smooth term that was there may have left scatter by joint: covariances
+        data = replace(data, sigma=np.full(len(data), math.sqrt(mean_variance(data.sigma))))
         for _ in range(_WEIGHING_ROUNDS):
             found, _ = _identify(data, terms, found)
             data = replace(data, sigma=np.maximum(data.sigma * found.scale, LEAST_SCATTER_M))

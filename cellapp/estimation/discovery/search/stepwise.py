@@ -339,7 +339,10 @@ def _best_model(
     named = reviewed(problem, _with_library_effects(problem, start, before_names))
     progress.step("beyond the library")
     if before_names is not None and _beats_all_names(problem, before_names, named):
-        return best_state([named, _reviewed_again(problem, before_names)])
+        best = best_state([named, _reviewed_again(problem, before_names)])
+        lead = criterion(start.fit) - criterion(best.fit)  # free functions imitate one law that the library lacks, too
+        instead = problem.tried("a data-driven term", partial(with_data_driven_terms, problem, start, lead))
+        return best if instead is None else best_state([best, _reviewed_again(problem, instead)])
     if not floor_reached(named):
         named = _with_contradictions(problem, start, named)
     drift = problem.tried("one drift", partial(with_one_drift, problem, named))
