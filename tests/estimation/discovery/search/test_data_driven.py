@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from cellapp.cell.profile import load_profile
 from cellapp.estimation.discovery.accepted import describe
-from cellapp.estimation.discovery.arm_data import TRANSMISSION_ERROR, UNKNOWN, ArmData, ModelTerm
-from cellapp.estimation.discovery.joint_fit import JointFit, fit_terms, refit
+from cellapp.estimation.discovery.arm_data import TRANSMISSION_ERROR, UNKNOWN, ArmData, Excess, ModelTerm
+from cellapp.estimation.discovery.joint_fit import JointFit, fit_terms, refit, uncertainty_with_scatter
 from cellapp.estimation.discovery.posterior import posteriors_of, remaining_scan
 from cellapp.estimation.discovery.process import fit_process, process_terms
 from cellapp.estimation.discovery.search.data_driven import (
@@ -40,14 +41,14 @@ from tests.twin import PROFILES
 SIGMA_M = 15e-6
 
 
-def readings_with(bend, shift, N=200) -> tuple[ArmData, JointFit]:
+def readings_with(bend, shift, N=200, stated: float | None = SIGMA_M) -> tuple[ArmData, JointFit]:
     """Geometry fitted to readings with joint offsets ``bend(q)`` and shifts ``shift(p)`` of the measured points."""
     profile = load_profile(PROFILES / "twin.yaml")
     rng = np.random.default_rng(7)
     q = rng.uniform(-2.0, 2.0, (N, 6))
     p_M, approach = smr_positions(arm_of(profile).geometry, q + bend(q)), np.sign(rng.uniform(-1.0, 1.0, (N, 6)))
     p_M += shift(p_M) + rng.normal(0.0, SIGMA_M, (N, 3))
-    data = data_of(profile, q, approach, p_M, SIGMA_M, 60.0 * np.arange(N, dtype=np.float64))
+    data = data_of(profile, q, approach, p_M, stated, 60.0 * np.arange(N, dtype=np.float64))
     return data, fit_terms(data, ())
 
 
@@ -79,13 +80,23 @@ def test_an_unknown_law_is_found_and_named_effects_that_imitate_it_go():
     assert in_place_of_names(problem, start, start) is None, "nothing was named"
 
 
-@pytest.mark.parametrize(("periods", "slug"), [(0.7, "base_drift"), (3.0, UNKNOWN)])
-def test_a_slow_drift_to_and_fro_keeps_its_name_and_a_sway_has_none(periods, slug):
+@pytest.mark.parametrize(
+    ("periods", "stated", "slug"),
+    [(0.7, SIGMA_M, "base_drift"), (3.0, SIGMA_M, UNKNOWN), (0.7, None, "base_drift"), (3.0, None, UNKNOWN)],
+)
+def test_a_slow_drift_to_and_fro_keeps_its_name_and_a_sway_has_none(periods, stated, slug):
     phase = 2.0 * np.pi * periods * np.arange(200) / 200.0 + 0.8
     shift = 60e-6 * np.sin(phase)[:, None] * np.array([1.0, 0.6, -0.4])
-    data, _ = readings_with(np.zeros_like, lambda p: shift)
+    data, _ = readings_with(np.zeros_like, lambda p: shift, stated=stated)
     found = search(data, tuple(slug for slug in EFFECTS if slug != UNKNOWN), JobSteps())
     assert [term.slug for term in found.fit.terms] == [slug]
+
+
+def test_weights_without_a_stated_uncertainty_forget_the_scatter_of_a_term_that_goes():
+    data, _ = readings_with(np.zeros_like, np.zeros_like, stated=None)
+    by_joint = replace(data, sigma=uncertainty_with_scatter(data, Excess(SIGMA_M, joints=(1e-5,) * 6)))
+    weighted, _ = refit(by_joint, ())
+    assert weighted.sigma == pytest.approx(refit(data, ())[0].sigma, rel=1e-3)
 
 
 def named(problem: SearchProblem, start: SearchState, slugs: Sequence[str]) -> SearchState:
