@@ -331,7 +331,8 @@ def verdict(
     """Return the verdict and its sentence.
 
     ``errors`` are the rms of ``held_out`` readings; ``scatter`` and ``structure`` are those of the residuals. An error
-    at the stated noise counts as explained. If none is stated, the residuals must show no structure.
+    at the stated noise counts as explained, if names alone reach it. If none is stated, the residuals must show no
+    structure.
     """
     after_mm = errors.after
     driven = [effect.description for effect in accepted if effect.description is not None]
@@ -344,8 +345,11 @@ def verdict(
         return "unknown effect", f"{also}something that the library does not have: {described}"
     closed = scatter is not None and _gap_closed(floor_mm, after_mm, held_out, scatter)
     remaining = _remaining(floor_mm, after_mm, scatter, structure, closed=closed)
-    if nameless := unnamed is not None and unnamed.in_force:
+    nameless = False
+    if unnamed is not None and unnamed.in_force:
         remaining = f"{unnamed_words(unnamed)}; {remaining}"
+        alone_mm = math.inf if unnamed.heldout_position_mm is None else unnamed.heldout_position_mm.before.rms
+        nameless = not (accepted and scatter is not None and _gap_closed(floor_mm, alone_mm, held_out, scatter))
     rest = has_structure(structure) or _far_off(scatter) or (bool(accepted) and scatter is not None)
     risen = bool(accepted) and after_mm >= errors.before
     if risen:

@@ -252,16 +252,20 @@ def _probable(problem: SearchProblem, found: SearchResult, state: SearchState) -
     """Drop the names that are more probably absent than present, the least probable first, and return the outcome.
 
     Alternatives that the data cannot distinguish from a name form one set of alternatives with it, and their
-    probabilities add. A alternative may take the place of a dropped name; the same test applies to it. A name gives way
+    probabilities add. An alternative may take the place of a dropped name; the same test applies to it. A name gives way
     to a more probable alternative if the search without the name ends in a model that is no worse. Otherwise the
-    difference limits the score of any alternative in its place.
+    difference limits the score of any alternative in its place. A free function beside a law of the same effect has no
+    name: it says where that law falls short, not what else is there.
     """
     while True:
         probable = posteriors_of(found, remaining_scan(found))
         sets = _probabilities_of_sets(found, probable)
-        smooth = smooth_numbers(state.fit.terms)
-        if nameless := [number for number in smooth if sets[number][1] or sets[number][0] < _EVEN_ODDS]:
-            improbable = {state.fit.terms[number].slug: sets[number][0] for number in nameless}
+        terms = state.fit.terms
+        by_law = {term.slug for term in terms if term.smooth is None}
+        unlike = [number for number in smooth_numbers(terms) if sets[number][1] or sets[number][0] < _EVEN_ODDS]
+        beside = [number for number in smooth_numbers(terms) if terms[number].slug in by_law]
+        if nameless := {*unlike, *beside}:
+            improbable = {terms[number].slug: sets[number][0] for number in unlike if number not in beside}
             state = replace(state, fit=without_names(state.fit, nameless))
             found = replace(_result(problem, state, found.geometry_only), improbable={**found.improbable, **improbable})
             continue
