@@ -58,16 +58,18 @@ _SELECTED = 5
 little."""
 
 
-def with_data_driven_terms(problem: SearchProblem, state: SearchState, lead: float = 0.0) -> SearchState | None:
+def with_data_driven_terms(
+    problem: SearchProblem, state: SearchState, lead: float = 0.0, most: int = _MOST_TERMS
+) -> SearchState | None:
     """Add data-driven terms to the state; None if none holds, or if the most terms could not make up for a ``lead``.
 
     ``lead`` is the criterion by which another model is better.
     """
     scores = _best_scores(problem, state)
-    if not scores or _MOST_TERMS * max(score.value for score in scores) <= _PROMISE * lead:
+    if not scores or most * max(score.value for score in scores) <= _PROMISE * lead:
         return None
     driven = _with_term(problem, state, scores)
-    for _ in range(_MOST_TERMS - 1):
+    for _ in range(most - 1):
         if driven is None or floor_reached(driven):
             break
         further = _with_term(problem, driven, _best_scores(problem, driven))

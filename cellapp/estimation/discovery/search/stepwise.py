@@ -252,8 +252,8 @@ def _probable(problem: SearchProblem, found: SearchResult, state: SearchState) -
     """Drop the names that are more probably absent than present, the least probable first, and return the outcome.
 
     Alternatives that the data cannot distinguish from a name form one set of alternatives with it, and their
-    probabilities add. An alternative may take the place of a dropped name; the same test applies to it. A name gives way
-    to a more probable alternative if the search without the name ends in a model that is no worse. Otherwise the
+    probabilities add. An alternative may take the place of a dropped name; the same test applies to it. A name gives
+    way to a more probable alternative if the search without the name ends in a model that is no worse. Otherwise the
     difference limits the score of any alternative in its place. A free function beside a law of the same effect has no
     name: it says where that law falls short, not what else is there.
     """
@@ -344,8 +344,8 @@ def _best_model(
     progress.step("beyond the library")
     if before_names is not None and _beats_all_names(problem, before_names, named):
         best = best_state([named, _reviewed_again(problem, before_names)])
-        lead = criterion(start.fit) - criterion(best.fit)  # free functions imitate one law that the library lacks, too
-        instead = problem.tried("a data-driven term", partial(with_data_driven_terms, problem, start, lead))
+        lead = criterion(start.fit) - criterion(best.fit)  # they imitate one law that the library lacks, too
+        instead = problem.tried("a data-driven term", partial(with_data_driven_terms, problem, start, lead, most=1))
         return best if instead is None else best_state([best, _reviewed_again(problem, instead)])
     if not floor_reached(named):
         named = _with_contradictions(problem, start, named)
