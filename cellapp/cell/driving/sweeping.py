@@ -35,7 +35,7 @@ from cellapp.cell.planning.sweeps import PlannedSweep, read_sweeps, refuse_sweep
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.columns import POINT, stems
 from cellapp.cell.run.recordings import recording_states, store_recording
-from cellapp.cell.run.recordings_csv import Key, RecordedStreams, checked_recording
+from cellapp.cell.run.recordings_csv import RecordedStreams, checked_recording
 from cellapp.cell.run.stream_csv import StreamTable
 from cellapp.cell.safety.gate import CellBodies, predicted_smr
 from cellapp.estimation.iso9283.evaluate import PathTrack
@@ -43,14 +43,12 @@ from cellapp.ground.control import JobControl
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.grouping import grouped
-from cellapp.ground.profile import Profile
 from cellapp.ground.progress import SweepLive
 from cellapp.robot.kinematics.transforms import Array, rows_at
 from cellapp.robot.paths.joint_path import Sweep, Trajectory
 from drivers.arms.protocol import Arm, ArmError, PathFollower
 from drivers.arms.recording import JointRecord, RecordingArm
 from drivers.clock import Clock
-from drivers.plant.sweep import SweepRecord
 from drivers.trackers.protocol import (
     StreamingTracker,
     TargetLost,
@@ -435,8 +433,9 @@ class Sweeps:
             own = paths.pop(sweep.arm)
             found = calculated(sweep.arm, own, CYCLE_S, paths)
             beside = self._beside(sweep, at, len(found.q), next(iter(found.beside_q.values()), None))
-            key = (sweep.arm, sweep.name)
-            store_recording(self._run, calculated_streams(self._run.profile, key, found, beside, self._session))
+            joints = _joint_columns(found.joint_time_s, q=found.q, qd=found.qd, other_q=beside)
+            points = _point_columns(found.point_time_s, found.p_M, found.sigma_m)
+            store_recording(self._run, self._checked(sweep.arm, sweep.name, joints, points))
             live.ended()
             return True
         stored = 0
@@ -457,44 +456,40 @@ class Sweeps:
 
     def _stored(self, sweep: PlannedSweep, part: SweepPart) -> bool:
         """Store a part of a sweep; return False, with a note, if its data are refused."""
-        name = self._free_name(sweep)
+        name, joints, track = self._free_name(sweep), part.joints, part.track
+        temperature = joints.joint_temperature_c
+        samples = _joint_columns(
+            joints.time_s, q=joints.q, qd=joints.qd, joint_temperature=temperature, other_q=part.beside
+        )
+        points = _point_columns(track.device_time_s, track.p_M, track.sigma_m)
         try:
-            recorded = _checked(self._run.profile, (sweep.arm, name), *_columns(part), self._session)
+            recorded = self._checked(sweep.arm, name, samples, points)
         except InputError as error:
             self._note(f"stop {sweep.stop + 1}: a part of the sweep of arm {sweep.arm} is not kept: {error}")
             return False
         state = recorded.state.model_copy(update={"part_of": sweep.name, "reached_s": part.reached_s})
         store_recording(self._run, replace(recorded, state=state))
-        missing = part.track.missing(self._driver.interval_s)
-        if part.joints.missing or missing:
+        missing = track.missing(self._driver.interval_s)
+        if joints.missing or missing:
             self._note(
-                f"{name} of arm {sweep.arm}: {counted(part.joints.missing, 'sample')} of the joints and"
+                f"{name} of arm {sweep.arm}: {counted(joints.missing, 'sample')} of the joints and"
                 f" {counted(missing, 'point')} did not come"
             )
         return True
+
+    def _checked(
+        self, arm: str, name: str, joints: Mapping[str, Array], points: Mapping[str, Array]
+    ) -> RecordedStreams:
+        """Check the columns of a recording. Raise ``InputError`` with what is not plausible."""
+        where = Path(f"{name} of arm {arm}")
+        samples, seen = (StreamTable(where, its, {}, np.arange(len(its["time_s"]))) for its in (joints, points))
+        return checked_recording(self._run.profile, (arm, name), samples, seen, self._session)
 
     def _free_name(self, sweep: PlannedSweep) -> str:
         """Return an unused name for the next recording of a sweep."""
         taken = {state.name for state in recording_states(self._run) if state.arm == sweep.arm}
         names = (sweep.name, *(f"{sweep.name}.{number}" for number in range(2, len(taken) + 2)))
         return next(name for name in names if name not in taken)
-
-
-def calculated_streams(
-    profile: Profile, key: Key, found: SweepRecord, beside: Array | None, session: str
-) -> RecordedStreams:
-    """Convert a sweep that a simulated cell computed into a recording of the arm and name ``key``; ``beside`` (n, K)
-    [rad] are joint positions of the other arm at the joints' timestamps."""
-    joints = _joint_columns(found.joint_time_s, q=found.q, qd=found.qd, other_q=beside)
-    return _checked(profile, key, joints, _point_columns(found.point_time_s, found.p_M, found.sigma_m), session)
-
-
-def _checked(
-    profile: Profile, key: Key, joints: Mapping[str, Array], points: Mapping[str, Array], session: str
-) -> RecordedStreams:
-    where = Path(f"{key[1]} of arm {key[0]}")
-    samples, seen = (StreamTable(where, its, {}, np.arange(len(its["time_s"]))) for its in (joints, points))
-    return checked_recording(profile, key, samples, seen, session)
 
 
 def _joint_columns(time_s: Array, **tables: Array | None) -> dict[str, Array]:
@@ -510,15 +505,6 @@ def _point_columns(time_s: Array, p_M: Array, sigma_m: Array) -> dict[str, Array
     """Return the columns of a stream of points (n, 3); without uncertainties if one of them is unknown."""
     columns = {"time_s": time_s, **dict(zip(POINT, p_M.T, strict=True))}
     return {**columns, "sigma_m": sigma_m} if np.isfinite(sigma_m).all() else columns
-
-
-def _columns(part: SweepPart) -> tuple[dict[str, Array], dict[str, Array]]:
-    """Return the columns of the joints and of the points of a part."""
-    joints, track = part.joints, part.track
-    samples = _joint_columns(
-        joints.time_s, q=joints.q, qd=joints.qd, joint_temperature=joints.joint_temperature_c, other_q=part.beside
-    )
-    return samples, _point_columns(track.device_time_s, track.p_M, track.sigma_m)
 
 
 INTERVAL_S = 0.01

@@ -609,26 +609,22 @@ def refining_terms(problem: MotionProblem, solution: Solution, law: JointLaw) ->
 
 
 def _fading(problem: MotionProblem, solution: Solution, law: JointLaw) -> tuple[JointTerm, ...]:
-    joints, reaches = range(problem.parameters.joints), range(len(REACHES))
-    fading = [replace(kind, reach=reach) for kind in _KINDS for reach in REACHES]
-    parts = [JointTerm(law, joint, fading=one) for one in fading for joint in joints]
-    gains = _gains(problem, solution, law, parts)
+    joints = range(problem.parameters.joints)
 
-    def gain(kind: int, places: Sequence[int]) -> float:
-        return gains([(kind * len(REACHES) + place) * len(joints) + j for j, place in enumerate(places)])
+    def parts(kind: Fading, reaches: Sequence[float]) -> tuple[JointTerm, ...]:
+        return tuple(JointTerm(law, joint, fading=replace(kind, reach=own)) for joint, own in zip(joints, reaches))
 
-    kind, place = max(product(range(len(_KINDS)), reaches), key=lambda one: gain(one[0], [one[1]] * len(joints)))
-    places = [place] * len(joints)
+    options = [(kind, [reach] * len(joints)) for kind in _KINDS for reach in REACHES]
+    gains = _gains(problem, solution, law, [part for option in options for part in parts(*option)])
+    kind, reaches = max(options, key=lambda option: gains(parts(*option)))
+    of_usual = [gains(parts(kind, [own] * len(joints))) for own in REACHES]
+    usual, top = reaches[0], _top(REACHES, REACHES.index(reaches[0]), of_usual)
     for joint in joints:
-        tried = [[*places[:joint], own, *places[joint + 1 :]] for own in reaches]
-        best = max(tried, key=lambda one: gain(kind, one))
-        if gain(kind, best) > gain(kind, places) + _OF_ITS_OWN:
-            places = best
-    usual = _top(REACHES, place, [gain(kind, [own] * len(joints)) for own in reaches])
-    return tuple(
-        JointTerm(law, joint, fading=replace(_KINDS[kind], reach=usual if own == place else REACHES[own]))
-        for joint, own in zip(joints, places)
-    )
+        tried = [[*reaches[:joint], own, *reaches[joint + 1 :]] for own in REACHES]
+        best = max(tried, key=lambda one: gains(parts(kind, one)))
+        if gains(parts(kind, best)) > gains(parts(kind, reaches)) + _OF_ITS_OWN:
+            reaches = best
+    return parts(kind, [top if own == usual else own for own in reaches])
 
 
 def _top(grid: Sequence[float], place: int, gains: Sequence[float]) -> float:
@@ -666,16 +662,16 @@ def _best_shares(
     problem: MotionProblem, solution: Solution, largest: Array, options: Sequence[Sequence[tuple[float, ...]]]
 ) -> list[tuple[float, ...]]:
     """Choose one option of each joint, joint by joint the one with the largest gain beside those of the others."""
-    keys = [(joint, share) for joint, own in enumerate(options) for share in sorted({s for one in own for s in one})]
-    parts = [JointTerm(JointLaw.COMPLIANCE, joint, knee=Knee(share * largest[joint])) for joint, share in keys]
-    gains, place = (
-        _gains(problem, solution, JointLaw.COMPLIANCE, parts),
-        {key: number for number, key in enumerate(keys)},
-    )
+
+    def parts(chosen: Sequence[Sequence[float]]) -> list[JointTerm]:
+        softer = [(joint, Knee(share * largest[joint])) for joint, own in enumerate(chosen) for share in own]
+        return [JointTerm(JointLaw.COMPLIANCE, joint, knee=knee) for joint, knee in softer]
+
+    every = parts([sorted({share for one in own for share in one}) for own in options])
+    gains = _gains(problem, solution, JointLaw.COMPLIANCE, every)
 
     def gain(chosen: Sequence[tuple[float, ...]]) -> float:
-        columns = [place[joint, share] for joint, own in enumerate(chosen) for share in own]
-        return gains(columns) - _OF_ITS_OWN * len(columns)
+        return gains(parts(chosen)) - _OF_ITS_OWN * sum(map(len, chosen))
 
     chosen = [own[len(own) // 2] for own in options]
     for joint in (*range(len(options)), *range(len(options))):
@@ -693,7 +689,7 @@ def _largest_torques(problem: MotionProblem) -> Array:
 
 def _gains(
     problem: MotionProblem, solution: Solution, law: JointLaw, parts: Sequence[JointTerm]
-) -> Callable[[Sequence[int]], float]:
+) -> Callable[[Sequence[JointTerm]], float]:
     """Return what computes the chi-square that chosen ``parts`` remove from the residuals, beside the parameters of a
     fit."""
     every = of_all_joints(law, problem.parameters.joints)
@@ -711,7 +707,13 @@ def _gains(
     matrix = A[new][:, new] - A[new][:, ~new] @ of_fit[:, :-1]
     matrix = 0.5 * (matrix + matrix.T)
     right = b[new] - A[new][:, ~new] @ of_fit[:, -1]
-    return lambda chosen: float(right[chosen] @ solve_psd(matrix[np.ix_(chosen, chosen)], right[chosen]))
+    place = {part: number for number, part in enumerate(parts)}
+
+    def gain(chosen: Sequence[JointTerm]) -> float:
+        own = np.array([place[part] for part in chosen])
+        return float(right[own] @ solve_psd(matrix[np.ix_(own, own)], right[own]))
+
+    return gain
 
 
 def _thinned(source: Source, most: int) -> Source:

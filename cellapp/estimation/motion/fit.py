@@ -121,11 +121,8 @@ class Source:
 def with_lags_in_clocks(problem: MotionProblem, solution: Solution) -> tuple[Array, Array]:
     """Return values and covariance with the mean of the joints' lags counted to the offsets of the clocks: only their
     sum is known."""
-    lags = np.array(
-        [place for place, term in enumerate(problem.terms, problem.geometric) if term.law is JointLaw.LAG],
-        dtype=np.intp,
-    )
-    apart = np.eye(len(solution.values))
+    of_lag = np.array([term.law is JointLaw.LAG for term in problem.terms], dtype=np.bool_)
+    lags, apart = problem.geometric + np.flatnonzero(of_lag), np.eye(len(solution.values))
     if len(lags):
         offsets = np.concatenate([problem.clock(number)[:-1] for number in range(len(problem.tracks))])
         apart[np.ix_(lags, lags)] -= 1.0 / len(lags)

@@ -264,8 +264,8 @@ def _clock_fit(track: Track, clock_s: Array, errors: Array) -> ClockResult:
         rate_ppm=rate,
         rate_standard_error_ppm=rate_error,
         at_s=track.middle_s,
-        steps_of_joints=tuple((step.at_s, step.step_s) for step in track.path.stamps.steps),
-        steps_of_points=tuple((step.at_s, step.step_s) for step in track.stamps.steps),
+        steps_of_joints=track.path.stamps.steps,
+        steps_of_points=track.stamps.steps,
         segments=tuple(
             ClockSegmentResult(offset_s=value, offset_standard_error_s=error, first_s=begin, last_s=end)
             for value, error, (begin, end) in zip(clock_s[:-1].tolist(), errors[:-1].tolist(), times, strict=True)

@@ -110,14 +110,6 @@ _STALE = 0.02
 """Share of samples that repeat the last values while the arm moves, above which they count as polled twice."""
 
 
-@dataclass(frozen=True)
-class ClockStep:
-    """A step of a clock: after the timestamp ``at_s`` (repaired time [s]) it continued ``step_s`` too late."""
-
-    at_s: float
-    step_s: float
-
-
 @dataclass(frozen=True, eq=False)
 class Stamps:
     """Timestamps repaired to a continuous clock.
@@ -134,11 +126,8 @@ class Stamps:
         Index of the part between steps of the clock, from 0.
     period_s : float
         Median time between samples.
-    repeated, gaps : int
-        Number of timestamps that repeat the one before; number of pauses with missing samples.
-    steps : tuple of ClockStep
-    regular : bool
-        Whether the timestamps had jitter about a regular clock and were replaced by it.
+    steps : tuple of pairs
+        Steps of the clock: the timestamp before (repaired time [s]), and by how much it continued too late [s].
     """
 
     rows: NDArray[np.intp] = field(repr=False)
@@ -146,10 +135,7 @@ class Stamps:
     time_s: Array = field(repr=False)
     segment: NDArray[np.intp] = field(repr=False)
     period_s: float
-    repeated: int
-    gaps: int
-    steps: tuple[ClockStep, ...]
-    regular: bool
+    steps: tuple[tuple[float, float], ...]
 
     def averaged(self, values: Array) -> Array:
         """Average recorded ``values`` (n, d) over the samples of each timestamp, (m, d)."""
@@ -181,18 +167,15 @@ def read_stamps(time_s: Array, values: Array) -> Stamps:
     shift = np.concatenate([[0.0], np.cumsum(np.where(jump, ahead - period, 0.0))])
     running = np.maximum.accumulate(stamped - shift)
     segment = np.concatenate([[0], np.cumsum(jump)]).astype(np.intp)
-    steps = tuple(ClockStep(float(running[i]), float(ahead[i] - period)) for i in np.flatnonzero(jump).tolist())
-    repeated = int(np.count_nonzero(np.diff(running) <= 0.0))
-    time, smoother = running, False
+    steps = tuple((float(running[i]), float(ahead[i] - period)) for i in np.flatnonzero(jump).tolist())
+    time = running
     if float(np.minimum(np.abs(np.diff(running) / period - 1.0), 1.0).mean()) > _STEADY:
         clocks = (_counted(running, period), _by_phase(running, period))
         roughness, regular = min(((_roughness(clock, values), clock) for clock in clocks), key=lambda one: one[0])
-        smoother = roughness < _MUCH_SMOOTHER * _roughness(running, values)
-        time = regular if smoother else running
+        if roughness < _MUCH_SMOOTHER * _roughness(running, values):
+            time = regular
     time, _, kept = _distinct(time, values)
-    longest = max(_GAP_PERIODS * period, _GAP_S)
-    gaps = int(np.count_nonzero(np.diff(time) > longest))
-    return Stamps(rows[kept], rows, time, segment[kept], period, repeated, gaps, steps, smoother)
+    return Stamps(rows[kept], rows, time, segment[kept], period, steps)
 
 
 def _fresh(values: Array) -> NDArray[np.intp]:

@@ -344,8 +344,8 @@ def _segments(
             " order"
         )
     beside = np.zeros(len(segment), dtype=bool)
-    for step in path.stamps.steps:
-        beside |= np.abs(controller_s - step.at_s) < _BESIDE_STEP_S
+    for at_s, _ in path.stamps.steps:
+        beside |= np.abs(controller_s - at_s) < _BESIDE_STEP_S
     return segment, beside
 
 
