@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from cellapp.cell.targets.records import MeasuredTarget, TargetCommand
+from cellapp.estimation.calibration.quantities import measured_minus_computed
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.shell import shell_word
@@ -37,7 +38,7 @@ def residuals(run: Run) -> pd.DataFrame:
     The conditions are those of the readings; ``residual_mm`` is the length of the vector.
     """
     measured = _measured(run)
-    return residuals_frame(measured, {name: run.residuals(name) for name in measured})
+    return residuals_frame(measured, measured_minus_computed(run.calibrated_model(), measured))
 
 
 def parameters(run: Run) -> pd.DataFrame:

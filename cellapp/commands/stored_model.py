@@ -92,11 +92,10 @@ def stale_notes(stages: RunStages, used: StoredStage) -> list[str]:
     return [f"the model in force, that of '{used.name}', was used although {stale}"] if stale else []
 
 
-def append_with_model(run: RunFile, name: StageName, result: Result, model: CellModel, basis: Basis) -> CellModel:
-    """Append a stage with its model; return the model, whose provenance records the stage's name and basis."""
+def append_with_model(run: RunFile, name: StageName, result: Result, model: CellModel, basis: Basis) -> None:
+    """Append a stage with its model, whose provenance records the stage's name and basis."""
     stored = replace(model, provenance={**model.provenance, "stage": name, "basis": basis.model_dump()})
     append_stage(run, name, result, basis, stored.to_json())
-    return stored
 
 
 def export_model(run: RunFile, stages: RunStages) -> None:

@@ -15,8 +15,8 @@ from cellapp.commands.check.request import CheckRequest
 from cellapp.commands.check.station import excess_of_readings, last_location, profile_at_station
 from cellapp.commands.confirm import confirmation
 from cellapp.commands.record import Work
-from cellapp.commands.stages import CALIBRATION_FILE, RunStages, StoredStage, append_stage, basis_on_model, read_stages
-from cellapp.commands.stored_model import append_with_model, arms_stage, model_of
+from cellapp.commands.stages import RunStages, StoredStage, append_stage, basis_on_model, read_stages
+from cellapp.commands.stored_model import append_with_model, arms_stage, export_model, model_of
 from cellapp.estimation.calibration.station_location import displacement_m
 from cellapp.estimation.monitoring.records import LocatedPoint, LocateResult, StationPose
 from cellapp.ground.errors import InputError
@@ -158,11 +158,10 @@ def _store(run: RunFile, used: StoredStage, result: LocateResult, moved: CellMod
     if moved is None:
         append_stage(run, LOCATE, result, basis)
     else:
-        moved = append_with_model(run, LOCATE, result, moved, basis)
+        append_with_model(run, LOCATE, result, moved, basis)
+        export_model(run, read_stages(run))
     for line in (*result.complaints(), *result.notes):
         run.log("warning" if result.verdict != "located" else "note", line)
-    if moved is not None:
-        moved.save(run.folder / CALIBRATION_FILE)
 
 
 def _station_notes(task: LocateTask, found: LocatedStation, *, moved: bool) -> list[str]:
