@@ -68,7 +68,7 @@ class LiveModel:
                 self._fits[name] = OnlineFit(profile, name, q)
                 if name in stored:
                     its = stored[name]
-                    report = self._fits[name].add_all(its.configuration.tolist(), its.q, its.p_M, its.covariance_M)
+                    report = self._fits[name].add(its.configuration.tolist(), its.q, its.p_M, its.covariance_M)
                     self._latest |= {} if report is None else {name: report}
             except (InputError, np.linalg.LinAlgError) as error:
                 self._drop(name, error)
@@ -84,8 +84,7 @@ class LiveModel:
             if fit is None:
                 continue
             try:
-                covariance_M = None if reading.covariance_M is None else reading.covariance_M[0]
-                report = fit.add(stop, reading.q[0], reading.p_M[0], covariance_M)
+                report = fit.add([stop], reading.q, reading.p_M, reading.covariance_M)
             except np.linalg.LinAlgError as error:
                 self._drop(name, error)
                 continue

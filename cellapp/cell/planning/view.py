@@ -40,7 +40,12 @@ from cellapp.cell.safety.gate import BEAM_RADIUS, CellBodies, refuse_motion, ref
 from cellapp.cell.safety.shapes import beam_gaps
 from cellapp.estimation.calibration.calibrate import rms_length_mm
 from cellapp.estimation.calibration.parameters import EXPECTED_SCATTER_M
-from cellapp.estimation.discovery.plan_forecast import PlannedReadings, planned_accuracy, planned_data, planned_effects
+from cellapp.estimation.discovery.plan_forecast import (
+    expected_readings,
+    planned_accuracy,
+    planned_data,
+    planned_effects,
+)
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import UNATTENDED, JobToken
@@ -187,14 +192,20 @@ def forecast_run(run: RunFile, job: JobToken = UNATTENDED) -> PlanForecastResult
     visited = plan.take([stop for stop in range(len(plan)) if stop not in reserves])
     if not len(visited):
         raise InputError(f"{run.path}: the plan has reserve stops only")
-    first = visited.q
     times = stop_times_of(profile, visited)
-    step = last_motions(visited, home_positions(profile))
-    expected = planned_data(profile, first, PlannedReadings(times.measured_s, times.resting_s, step, visited.load))
+    expected = expected_readings(
+        profile,
+        visited.q,
+        time_s=times.measured_s,
+        dwell_s=times.resting_s,
+        step=last_motions(visited, home_positions(profile)),
+        load=visited.load,
+    )
     cell = cell_bodies(profile)
     arms: dict[str, ArmForecast] = {}
     notes: list[str] = []
-    for number, (name, data) in enumerate(expected.items()):
+    for number, (name, arm) in enumerate(expected.items()):
+        data = planned_data(arm)
         job.check()
         job.tell("forecast", number, len(expected), f"arm {name}")
         try:
@@ -208,14 +219,13 @@ def forecast_run(run: RunFile, job: JobToken = UNATTENDED) -> PlanForecastResult
             stops=len(visited),
             reserves=len(reserves),
             noise_rms_mm=rms_length_mm(data.stated),
-            coverage=joint_coverage(joint_ranges(cell, profile, name), first[name]),
+            coverage=joint_coverage(joint_ranges(cell, profile, name), visited.q[name]),
             accuracy=tuple(planned_accuracy(data, scatter) for scatter in (0.0, EXPECTED_SCATTER_M)),
             effects=effects,
         )
     job.tell("forecast", len(expected), len(expected), "done")
-    return PlanForecastResult(
-        run=str(run.folder), time=planned_time(profile, visited), arms=arms, notes=(*notes, *_notes(profile, first))
-    )
+    notes += _notes(profile, visited.q)
+    return PlanForecastResult(run=str(run.folder), time=planned_time(profile, visited), arms=arms, notes=tuple(notes))
 
 
 def _notes(profile: Profile, plan: Mapping[str, Array]) -> list[str]:

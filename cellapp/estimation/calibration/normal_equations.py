@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.parameters import ParameterSet, gram_matrix
 from cellapp.robot.effects.context import EffectColumn
-from cellapp.robot.kinematics.chain import Geometry, JointAngles, ScratchSpace, joint_jacobian
+from cellapp.robot.kinematics.chain import Geometry, JointAngles, joint_jacobian
 from cellapp.robot.kinematics.transforms import Array
 
 _CHUNK = 2048
@@ -100,8 +100,6 @@ class Observations:
     white : array, shape (3, 3, n) or (n,), or None
         Whitening factors (``weights.whitener``); None for equal weights.
     effects : EffectColumns or None
-    workspace : ScratchSpace
-        Holds the Jacobian of one chunk at a time.
     """
 
     angles: JointAngles
@@ -109,7 +107,6 @@ class Observations:
     p_M: Array
     white: Array | None
     effects: EffectColumns | None
-    workspace: ScratchSpace = field(default_factory=ScratchSpace, repr=False, compare=False)
 
     @cached_property
     def common_white(self) -> float | None:
@@ -154,8 +151,8 @@ class Observations:
         found = self.p_M[:, first:last] - P
         return found if shift is None else found - shift
 
-    def whiten(self, vectors: Array, first: int, last: int, out: Array | None = None) -> Array:
-        """Scale vectors (3, ..., last - first) to units of their standard uncertainty, in ``out`` if that is given.
+    def whiten(self, vectors: Array, first: int, last: int) -> Array:
+        """Scale vectors (3, ..., last - first) to units of their standard uncertainty.
 
         Return the vectors themselves if there is no whitening.
         """
@@ -163,10 +160,10 @@ class Observations:
             return vectors
         white = self.white[..., first:last]
         if white.ndim == 1:
-            return np.multiply(vectors, white, out=out)
-        out = np.empty_like(vectors) if out is None else out
+            return vectors * white
+        out = np.empty_like(vectors)
         for row in range(3):  # white is lower triangular
-            np.multiply(white[row, 0], vectors[0], out=out[row])
+            out[row] = white[row, 0] * vectors[0]
             for column in range(1, row + 1):
                 out[row] += white[row, column] * vectors[column]
         return out
@@ -233,12 +230,11 @@ def normal_equations(
         if common is None:
             gram += gram_matrix(J[:, :size])
             squares[size:] += np.einsum("akn,akn->k", J[:, size:], J[:, size:])
-            (white,) = observations.workspace.arrays("white", (k, 3, last - first))
-            white = white.swapaxes(0, 1)
-            J, r = observations.whiten(J, first, last, out=white), observations.whiten(r, first, last)
+            J, r = observations.whiten(J, first, last), observations.whiten(r, first, last)
             if weights is not None:
                 root = np.sqrt(weights[first:last])
-                J, r = np.multiply(J, root, out=white), r * root
+                J *= root
+                r = r * root
         A += gram_matrix(J)
         if angular is not None and of_rotations is not None:
             of_rotations += gram_matrix(J[:, :, angular[first:last]])
@@ -259,7 +255,7 @@ def linearise(
 ) -> tuple[Array, Array]:
     """Compute SMR positions (3, last - first) [m] and their Jacobian (3, k, last - first) in a chunk."""
     angles, effects = observations.angles_with(beta, first, last), observations.effects
-    P, J = parameters.jacobian(geometry, angles, observations.workspace)
+    P, J = parameters.jacobian(geometry, angles)
     if effects is not None:
         _, by_joint = joint_jacobian(geometry, angles)
         size = J.shape[1]

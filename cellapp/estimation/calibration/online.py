@@ -208,29 +208,20 @@ class OnlineFit:
         """Present estimate, without compliance; None without a model."""
         return None if self._model is None else self._model[0].found.geometry
 
-    def add(self, stop: int, q: Array, p_M: Array, covariance_M: Array | None = None) -> StopReport | None:
-        """Add one reading: ``q`` (N,) [rad], ``p_M`` (3,) [m], ``covariance_M`` (3, 3) [m^2], and fit if it is time to.
-
-        Return None while there is no model.
-        """
-        self._store(q[None], p_M[None], None if covariance_M is None else covariance_M[None])
-        self.innovation = self._innovation(stop, q, p_M)
-        if not self.ready or self.count >= self._next or self.count in _REGISTERED_AGAIN:
-            self.refit()
-        return self.report(stop, q, p_M)
-
-    def add_all(
-        self, stops: Sequence[int], q: Array, p_M: Array, covariance_M: Array | None = None
-    ) -> StopReport | None:
-        """Fit with stored readings: ``q`` (n, N) [rad], ``p_M`` (n, 3) [m], ``covariance_M`` (n, 3, 3), NaN: none.
+    def add(self, stops: Sequence[int], q: Array, p_M: Array, covariance_M: Array | None = None) -> StopReport | None:
+        """Add readings: ``q`` (n, N) [rad], ``p_M`` (n, 3) [m], ``covariance_M`` (n, 3, 3) [m^2], NaN: none; fit if it
+        is time to.
 
         Return the report of the last one; None without readings or model.
         """
         if not len(stops):
             return None
-        self._store(q, p_M, covariance_M)
-        self.innovation = None
-        self.refit()
+        given = np.full((len(q), 3, 3), math.nan) if covariance_M is None else covariance_M
+        self._q, self._p_M = np.concatenate([self._q, q]), np.concatenate([self._p_M, p_M])
+        self._covariance_M = np.concatenate([self._covariance_M, given])
+        self.innovation = self._innovation(stops[-1], q[-1], p_M[-1])
+        if not self.ready or self.count >= self._next or self.count in _REGISTERED_AGAIN:
+            self.refit()
         return self.report(stops[-1], q[-1], p_M[-1])
 
     def refit(self) -> None:
@@ -257,11 +248,6 @@ class OnlineFit:
     def lengths_m(self, q: Array, p_M: Array) -> Array | None:
         """Compute residual lengths (n,) [m] of points ``p_M`` (n, 3) [m] at ``q`` (n, N) [rad]; None if not ready."""
         return None if self._model is None else np.linalg.norm(self._residuals_M(self._model[0].found, q, p_M), axis=1)
-
-    def _store(self, q: Array, p_M: Array, covariance_M: Array | None) -> None:
-        given = np.full((len(q), 3, 3), math.nan) if covariance_M is None else covariance_M
-        self._q, self._p_M = np.concatenate([self._q, q]), np.concatenate([self._p_M, p_M])
-        self._covariance_M = np.concatenate([self._covariance_M, given])
 
     def _stated(self) -> Array:
         """Return stated covariances (n, 3, 3) [m^2]; a missing one is the mean of the others, zero without any."""

@@ -23,7 +23,6 @@ from cellapp.robot.kinematics.chain import (
     TOOL_NAMES,
     Geometry,
     JointAngles,
-    ScratchSpace,
     all_names,
     jacobian,
     parallel_rows,
@@ -105,12 +104,10 @@ class ParameterSet:
         followers = {follower for follower, _ in tied}
         return cls(name, geometry.joints, tuple(c for c in columns if c not in followers), tied=tied)
 
-    def jacobian(
-        self, geometry: Geometry, angles: JointAngles, workspace: ScratchSpace | None = None, more: tuple[int, ...] = ()
-    ) -> tuple[Array, Array]:
+    def jacobian(self, geometry: Geometry, angles: JointAngles, more: tuple[int, ...] = ()) -> tuple[Array, Array]:
         """Compute as ``jacobian`` of ``more`` parameters, then of the columns, each with those tied to it."""
         followers = tuple(follower for follower, _ in self.tied)
-        P, J = jacobian(geometry, angles, (*more, *self.columns, *followers), workspace)
+        P, J = jacobian(geometry, angles, (*more, *self.columns, *followers))
         end = J.shape[1] - len(followers)
         for place, (_, first) in enumerate(self.tied, start=end):
             J[:, len(more) + self.columns.index(first)] += J[:, place]

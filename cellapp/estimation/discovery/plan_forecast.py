@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,15 +55,6 @@ _MOST_SIZES = 40
 """Most parameters of one effect whose smallest sizes are reported: all joints and axes, but not hundreds of lines."""
 
 
-@dataclass(frozen=True)
-class _Detectable:
-    """An effect's largest visible share, smallest size of each parameter, and least rms displacement (whitened)."""
-
-    visible_share: float
-    sizes: dict[str, SmallestSize]
-    least_rms: float
-
-
 def detectability(found: SearchResult, scan: LawScan) -> tuple[tuple[AbsentEffect, ...], tuple[AbsentEffect, ...]]:
     """Return effects that the data cannot show, and effects that were not found with their smallest detectable sizes.
 
@@ -80,27 +71,26 @@ def detectability(found: SearchResult, scan: LawScan) -> tuple[tuple[AbsentEffec
         if lacking := EFFECTS[slug].missing_data(found.data.context):
             invisible.append(AbsentEffect(effect=slug, reason=f"not testable: {lacking}"))
             continue
-        one = _detectable(scan, slug, needed)
-        hidden = one.visible_share <= _BARELY_VISIBLE
-        how_much = "all" if one.visible_share <= VISIBLE else "nearly all"
+        share, sizes, least_rms = _detectable(scan, slug, needed)
+        hidden = share <= _BARELY_VISIBLE
+        how_much = "all" if share <= VISIBLE else "nearly all"
         (invisible if hidden else not_found).append(
             AbsentEffect(
                 effect=slug,
                 reason=f"invisible: geometry can follow {how_much} of it under this plan"
                 if hidden
                 else "not found; it could have been seen from these sizes on",
-                visible_share=one.visible_share,
-                smallest_seen=one.sizes or None,
-                smallest_seen_rms_mm=one.least_rms * noise_mm * math.sqrt(3.0)
-                if math.isfinite(one.least_rms)
-                else None,
+                visible_share=share,
+                smallest_seen=sizes or None,
+                smallest_seen_rms_mm=least_rms * noise_mm * math.sqrt(3.0) if math.isfinite(least_rms) else None,
             )
         )
     return tuple(invisible), tuple(not_found)
 
 
-def _detectable(scan: LawScan, slug: str, needed: float) -> _Detectable:
-    """Return visible share and smallest sizes of one effect, over the laws of its simplest form that the data allow.
+def _detectable(scan: LawScan, slug: str, needed: float) -> tuple[float, dict[str, SmallestSize], float]:
+    """Return the largest visible share of one effect, the smallest size of each parameter, and the least rms
+    displacement (whitened), over the laws of its simplest form that the data allow.
 
     A refined form may be visible although the effect itself is not: a scale error that bends with the range of the
     beam.
@@ -124,38 +114,35 @@ def _detectable(scan: LawScan, slug: str, needed: float) -> _Detectable:
             known = sizes.get(column.name)
             if (known is None or size < known.value) and len(sizes) < _MOST_SIZES:
                 sizes[column.name] = SmallestSize(value=size, unit=column.unit)
-    return _Detectable(share, sizes, least_rms)
+    return share, sizes, least_rms
 
 
 _SEED = 0xF0CA
 """Combined with the profile's seed, so that the simulated noise is independent of all other samples."""
 
 
-@dataclass(frozen=True, eq=False)
-class PlannedReadings:
-    """Expected conditions of the readings of a plan.
-
-    Attributes
-    ----------
-    time_s, dwell_s : arrays, shape (n,)
-        Times since the first motion, and at rest before each measurement [s].
-    step : mapping, optional
-        Arm -> last motion of each joint with its sign (n, N) [rad]; None if straight from stop to stop, starting at
-        home.
-    load : array, shape (n,), int, optional
-        Index of the plan's load that the arms carry; None for the first.
-    """
-
-    time_s: Array
-    dwell_s: Array
-    step: Mapping[str, Array] | None = None
-    load: NDArray[np.intp] | None = None
-
-
-def expected_readings(profile: Profile, plan: Mapping[str, Array], expected: PlannedReadings) -> dict[str, ArmReadings]:
-    """Return the readings of nominal arms that are expected from a plan (arm -> q (n, N) [rad]).
+def expected_readings(
+    profile: Profile,
+    plan: Mapping[str, Array],
+    *,
+    time_s: Array,
+    dwell_s: Array,
+    step: Mapping[str, Array],
+    load: NDArray[np.intp],
+) -> dict[str, ArmReadings]:
+    """Return the readings of nominal arms that are expected from a plan.
 
     Their noise is simulated, so that fits get realistic weights; no result depends on the sample beyond rounding.
+
+    Parameters
+    ----------
+    profile : Profile
+    plan, step : mapping
+        Arm -> joint positions, and last motion of each joint with its sign, (n, N) [rad].
+    time_s, dwell_s : array, shape (n,)
+        Times since the first motion, and at rest before each measurement [s].
+    load : array, shape (n,), int
+        Index of the plan's load that the arms carry.
 
     Raises
     ------
@@ -169,22 +156,17 @@ def expected_readings(profile: Profile, plan: Mapping[str, Array], expected: Pla
         arm, p_M = profile.arms[name], smr_positions(models[name].geometry, q)
         covariance = tracker_covariance(profile.tracker, p_M)
         noise = np.einsum("nab,nb->na", np.linalg.cholesky(covariance), rng.standard_normal(p_M.shape))
-        straight = np.diff(q, axis=0, prepend=np.array(arm.home)[None])
-        carried = [
-            arm.payload_at(load)
-            for load in (np.zeros(len(q), dtype=np.intp) if expected.load is None else expected.load).tolist()
-        ]
-        step = straight if expected.step is None else expected.step[name]
+        carried = [arm.payload_at(number) for number in load.tolist()]
         readings[name] = Readings(
             configuration=np.arange(len(q)),
-            time_s=expected.time_s,
+            time_s=time_s,
             q=q,
-            approach=np.sign(step).astype(np.int8),
+            approach=np.sign(step[name]).astype(np.int8),
             p_M=p_M + noise,
             payload_kg=np.array([one.mass for one in carried]),
             payload_center_F=np.array([one.center_of_mass for one in carried]),
-            step=step,
-            dwell_s=expected.dwell_s,
+            step=step[name],
+            dwell_s=dwell_s,
             covariance_M=covariance,
         )
     return ArmReadings.of_cell(profile, models, readings)
@@ -221,22 +203,19 @@ def tracker_covariance(tracker: Tracker, p_M: Array) -> Array:
     return np.asarray(across[:, None, None] ** 2 * (np.eye(3) - dyads) + along[:, None, None] ** 2 * dyads)
 
 
-def planned_data(profile: Profile, plan: Mapping[str, Array], expected: PlannedReadings) -> dict[str, ArmData]:
-    """Return ``expected_readings`` as data of a search, with priors of typical arms instead of estimated ones.
+def planned_data(arm: ArmReadings) -> ArmData:
+    """Return ``expected_readings`` of an arm as data of a search, with priors of typical arms, not estimated ones.
 
-    Raise as ``expected_readings``, or if a parameter set is wrong.
+    Raise ``InputError`` if the parameter set is wrong.
     """
-    found = {}
-    for name, arm in expected_readings(profile, plan, expected).items():
-        model, its = arm.model, arm.quantities()
-        stated = prior_sigmas(model.nominal, profile.calibration.priors, profile.arms[name].fixed)
-        with refused_by_arm(name):
-            estimated, _ = estimated_parameters(profile.calibration.parameter_set, model.nominal, stated)
-        # without typical spreads, parameters of "full" that the stops cannot distinguish would have no standard error
-        priors = {**typical_spreads(model.nominal.joints), **stated}
-        weighed = {**vars(its), "sigma": its.stated}
-        found[name] = ArmData(**weighed, profile=profile, model=model, parameter_set=estimated, prior_sigma=priors)
-    return found
+    profile, model, its = arm.profile, arm.model, arm.quantities()
+    stated = prior_sigmas(model.nominal, profile.calibration.priors, profile.arms[arm.name].fixed)
+    with refused_by_arm(arm.name):
+        estimated, _ = estimated_parameters(profile.calibration.parameter_set, model.nominal, stated)
+    # without typical spreads, parameters of "full" that the stops cannot distinguish would have no standard error
+    priors = {**typical_spreads(model.nominal.joints), **stated}
+    weighed = {**vars(its), "sigma": its.stated}
+    return ArmData(**weighed, profile=profile, model=model, parameter_set=estimated, prior_sigma=priors)
 
 
 def _with_scatter(data: ArmData, scatter_m: float) -> ArmData:

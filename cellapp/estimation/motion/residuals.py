@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from cellapp.estimation.calibration.parameters import ParameterSet, PriorSpread
 from cellapp.estimation.motion.laws import CHUNK, JointState, JointTerm, Masses, state_at_rest, state_in_motion
 from cellapp.estimation.motion.tracks import Track
-from cellapp.robot.kinematics.chain import Geometry, JointAngles, ScratchSpace, smr_positions
+from cellapp.robot.kinematics.chain import Geometry, JointAngles, smr_positions
 from cellapp.robot.kinematics.transforms import Array
 
 # -- Information in correlated residuals: band spectra of the noise, and the covariance of the estimate ---------------
@@ -414,13 +414,13 @@ def _chunks(
     """Yield weighted columns (3, k, n) and residuals (3, n), weights (n,) and joint positions (n, N), in chunks of
     whole averages of ``each`` points."""
     holder, k, arm = problem.holders[number], len(problem.columns_of(number)), problem.arm
-    geometry, work = problem.geometry(values), ScratchSpace()
+    geometry = problem.geometry(values)
     step = max(1, CHUNK // each) * each
     for first in range(0, len(rows), step):
         part, weight = rows[first : first + step], root[first : first + step]
         state = problem.joints(values, number, part)
         X = np.empty((3, k, len(part)))
-        P, by_joint = _arm_columns(problem, values, geometry, state, X[:, :arm], work)
+        P, by_joint = _arm_columns(problem, values, geometry, state, X[:, :arm])
         if isinstance(holder, Track):
             moved = np.einsum("ajn,nj->an", by_joint, state.qd)
             segment = holder.segment[part]
@@ -449,7 +449,7 @@ def _joined(parts: Sequence[tuple[Array, Array, Array]]) -> tuple[Array, Array, 
 
 
 def _arm_columns(
-    problem: MotionProblem, values: Array, geometry: Geometry, state: JointState, out: Array, work: ScratchSpace
+    problem: MotionProblem, values: Array, geometry: Geometry, state: JointState, out: Array
 ) -> tuple[Array, Array]:
     """Return computed points (3, n) and derivatives by the joints (3, N, n); write those by parameters to ``out``."""
     size, parameters = problem.geometric, problem.parameters
@@ -458,7 +458,7 @@ def _arm_columns(
     thetas = tuple(6 + 5 * joint for joint in range(parameters.joints))
     plain = set(parameters.columns).difference(first for _, first in parameters.tied)
     added = tuple(theta for theta in thetas if theta not in plain)
-    P, J = parameters.jacobian(geometry, angles, work, added)
+    P, J = parameters.jacobian(geometry, angles, added)
     out[:, :size] = J[:, len(added) :]
     every = added + parameters.columns
     by_joint = J[:, [every.index(theta) for theta in thetas]]

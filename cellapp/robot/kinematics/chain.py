@@ -27,7 +27,6 @@ of ``ur_calibration`` (docs.ros.org, "Calibration correction algorithm") shows a
 
 from __future__ import annotations
 
-import itertools
 import math
 import sys
 from collections.abc import Mapping, Sequence
@@ -310,11 +309,11 @@ def smr_positions(geometry: Geometry, q: Array, R_M_S: Array | None = None) -> A
 def smr_positions_of(geometry: Geometry, angles: JointAngles) -> Array:
     """Compute SMR positions in the tracker frame, shape (3, n) [m], or rotation vectors [rad]: component first."""
     if angles.count <= _AT_ONCE:
-        return _computed(geometry, angles, _new_frames(geometry, angles))
+        return _computed(geometry, angles, _frames(geometry, angles))
     P: Array = np.empty((3, angles.count))
     for first in range(0, angles.count, _AT_ONCE):
         part = angles.part(first, min(first + _AT_ONCE, angles.count))
-        P[:, first : first + part.count] = _computed(geometry, part, _new_frames(geometry, part))
+        P[:, first : first + part.count] = _computed(geometry, part, _frames(geometry, part))
     return P
 
 
@@ -329,7 +328,7 @@ def frame_vectors(geometry: Geometry, q: Array) -> Array:
 
     ``q`` (n, N) are joint positions [rad]. Components come first, configurations last.
     """
-    frames = _new_frames(geometry, JointAngles.of(q))[:-4]
+    frames = _frames(geometry, JointAngles.of(q))[:-4]
     return frames.reshape(geometry.joints + 1, 4, 3, len(q)).transpose(2, 0, 1, 3)
 
 
@@ -349,9 +348,7 @@ def flange_poses(geometry: Geometry, q: Array) -> tuple[Array, Array]:
     return rotations[-1], origins[-1]
 
 
-def jacobian(
-    geometry: Geometry, angles: JointAngles, columns: tuple[int, ...], workspace: ScratchSpace | None = None
-) -> tuple[Array, Array]:
+def jacobian(geometry: Geometry, angles: JointAngles, columns: tuple[int, ...]) -> tuple[Array, Array]:
     """Compute SMR positions and their derivatives with respect to some of the parameters.
 
     Parameters
@@ -361,8 +358,6 @@ def jacobian(
         n configurations.
     columns : tuple of int, length k
         Indices into ``all_names``. Rotations before translations are fastest: no reordering is needed.
-    workspace : ScratchSpace, optional
-        Memory for J and intermediate arrays; the next call with it overwrites J. New arrays if None.
 
     Returns
     -------
@@ -373,17 +368,10 @@ def jacobian(
     """
     sources = _column_sources(columns, geometry.joints)
     r, n = len(columns) - len(sources.along), angles.count
-    work = workspace or ScratchSpace()
-    (J,) = work.arrays("J", (len(columns), 3, n))
-    shapes = (3, r, n), (3, r, n), (r, n), (r, n), *_frame_shapes(geometry, n)
-    axes, lever, first, second, *of_frames = work.arrays("before J", *shapes)
-    frames = _frames(geometry, angles, *of_frames)
+    frames = _frames(geometry, angles)
     P = _computed(geometry, angles, frames)
-    # every index is valid; mode "clip" avoids the copy that the check of indices would make
-    components = frames.reshape(-1, n)
-    np.take(components, sources.axes, axis=0, out=axes, mode="clip")
-    np.take(components, sources.centers, axis=0, out=lever, mode="clip")
-    np.take(frames, sources.along, axis=0, out=J[r:], mode="clip")
+    components, J = frames.reshape(-1, n), np.empty((len(columns), 3, n))
+    axes, J[r:] = components[sources.axes], frames[sources.along]
     for joint in np.flatnonzero(geometry.rows[:, 4]).tolist():
         # a and alpha act before rot_y(beta): undo it to get their axis
         cb, sb = math.cos(geometry.rows[joint, 4]), math.sin(geometry.rows[joint, 4])
@@ -396,11 +384,10 @@ def jacobian(
     of_probe = list(sources.slot[6 + 5 * geometry.joints + 3 :])
     if max(of_probe) >= 0:
         axes[:, of_probe] = _probe_axes(geometry, frames)
-    np.subtract((P if angles.R_M_S is None else _smr(geometry, frames))[:, None], lever, out=lever)
+    smr = P if angles.R_M_S is None else _smr(geometry, frames)
+    lever = smr[:, None] - components[sources.centers]
     for x, y, z in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        np.multiply(axes[y], lever[z], out=first)
-        np.multiply(axes[z], lever[y], out=second)
-        np.subtract(first, second, out=J[:r, x])
+        J[:r, x] = axes[y] * lever[z] - axes[z] * lever[y]
     if max(of_probe) >= 0:
         J[of_probe] = 0.0  # a probe turns about its own origin
     if angles.R_M_S is not None:
@@ -527,60 +514,21 @@ def _probe_axes(geometry: Geometry, frames: Array) -> Array:
     return np.asarray(np.einsum("can,ck->akn", frames[last : last + 3], rotation))
 
 
-def _frame_shapes(geometry: Geometry, n: int) -> tuple[tuple[int, ...], ...]:
-    """Shapes of the arrays that ``_frames`` needs for n configurations."""
-    return (4 * geometry.joints + 8, 3, n), (4, 3, n), (2, 3, n)
-
-
-def _new_frames(geometry: Geometry, angles: JointAngles) -> Array:
-    """``_frames`` in new arrays."""
-    return _frames(geometry, angles, *map(np.empty, _frame_shapes(geometry, angles.count)))
-
-
-def _frames(geometry: Geometry, angles: JointAngles, vectors: Array, rotated: Array, scratch: Array) -> Array:
+def _frames(geometry: Geometry, angles: JointAngles) -> Array:
     """Compute axes and origins of all D-H frames, base first, then the fixed vectors of the base: (4 N + 8, 3, n).
 
-    The result is written into ``vectors``; ``rotated`` and ``scratch`` are overwritten (``_frame_shapes``). The part of
-    A_i after rot_z(q_i) is the same for all configurations, hence one matrix product per joint.
+    The part of A_i after rot_z(q_i) is the same for all configurations, hence one matrix product per joint.
     """
+    vectors, rotated = (np.empty((m, 3, angles.count)) for m in (4 * geometry.joints + 8, 4))
     base = geometry.base_vectors[:, :, None]
     vectors[:4], vectors[-4:] = base[:4], base[4:]
-    flat, rotated_flat, rotated_xy = vectors.reshape(len(vectors), -1), rotated.reshape(4, -1), rotated[:2]
-    rows, signed_sines = geometry.row_matrices, angles.signed_sines
+    flat, rotated_flat = vectors.reshape(len(vectors), -1), rotated.reshape(4, -1)
     for i in range(geometry.joints):
         before = vectors[4 * i : 4 * i + 4]
-        np.multiply(before[:2], angles.cosines[i], out=rotated_xy)
-        rotated_xy += np.multiply(before[1::-1], signed_sines[i], out=scratch)
+        rotated[:2] = before[:2] * angles.cosines[i] + before[1::-1] * angles.signed_sines[i]
         rotated[2:] = before[2:]
-        np.matmul(rows[i], rotated_flat, out=flat[4 * i + 4 : 4 * i + 8])
+        np.matmul(geometry.row_matrices[i], rotated_flat, out=flat[4 * i + 4 : 4 * i + 8])
     return vectors
-
-
-# -- Memory that repeated computations of the same size reuse ---------------------------------------------------------
-#
-# The operating system provides a large array as new pages each time. The first access to these takes longer than the
-# arithmetic that fills the Jacobian of some hundred configurations.
-
-
-class ScratchSpace:
-    """Cache of uninitialised arrays by purpose and shapes. Only one computation at a time may use it."""
-
-    def __init__(self) -> None:
-        self._arrays: dict[tuple[str, tuple[tuple[int, ...], ...]], tuple[Array, ...]] = {}
-
-    def arrays(self, purpose: str, *shapes: tuple[int, ...]) -> tuple[Array, ...]:
-        """Return arrays of these shapes; the next call with the same purpose and shapes returns the same arrays.
-
-        They share one block, which each of them keeps alive. When it is freed, C libraries keep a block of this size
-        for the process, so that the next workspace reuses its pages; many smaller blocks they return to the system.
-        """
-        found = self._arrays.get((purpose, shapes))
-        if found is None:
-            ends = list(itertools.accumulate(map(math.prod, shapes)))
-            parts = np.split(np.empty(ends[-1]), ends[:-1])
-            found = tuple(part.reshape(shape) for part, shape in zip(parts, shapes, strict=True))
-            self._arrays[purpose, shapes] = found
-        return found
 
 
 # -- Plain D-H rows ---------------------------------------------------------------------------------------------------

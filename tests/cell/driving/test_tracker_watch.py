@@ -186,7 +186,7 @@ def raised(
     found = []
     for stop in range(stops):
         for name, one in readings.items():
-            fits[name].add(stop, one.q[stop], one.p_M[stop], one.covariance_M[stop])
+            fits[name].add([stop], one.q[[stop]], one.p_M[[stop]], one.covariance_M[[stop]])
         found += [(stop, one) for one in watch.at_stop(stop, {name: fit.innovation for name, fit in fits.items()})]
     return found
 

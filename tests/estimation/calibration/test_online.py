@@ -25,11 +25,16 @@ def readings() -> dict[str, Series]:
     return series(7, STOPS)
 
 
+def add(fit: OnlineFit, one: Series, stop: int) -> StopReport | None:
+    """Add the reading of one stop."""
+    return fit.add([stop], one.q[[stop]], one.p_M[[stop]], one.covariance_M[[stop]])
+
+
 def fitted(name: str, one: Series, *, stated: bool = True) -> tuple[OnlineFit, StopReport]:
     """The fit after all readings, one by one, and its last report."""
     fit = OnlineFit(twin(), name, one.q)
     for stop in range(len(one.q)):
-        report = fit.add(stop, one.q[stop], one.p_M[stop], one.covariance_M[stop] if stated else None)
+        report = add(fit, one, stop) if stated else fit.add([stop], one.q[[stop]], one.p_M[[stop]])
     fit.refit()
     report = fit.report(stop, one.q[stop], one.p_M[stop])
     assert report is not None
@@ -62,7 +67,7 @@ def test_it_converges_from_centimetres_within_a_few_stops(readings):
     fit = OnlineFit(twin(), "right", one.q)
     errors = {}
     for stop in range(40):
-        report = fit.add(stop, one.q[stop], one.p_M[stop], one.covariance_M[stop])
+        report = add(fit, one, stop)
         assert (report is None) == (stop < 3)
         if stop in (4, 39):
             errors[stop] = error_m(fit, one.q, one.true_M)
@@ -75,7 +80,7 @@ def test_the_stated_uncertainty_of_predictions_covers_the_next_readings(readings
     fit = OnlineFit(twin(), "left", one.q)
     squares = []
     for stop in range(STOPS):
-        fit.add(stop, one.q[stop], one.p_M[stop], one.covariance_M[stop])
+        add(fit, one, stop)
         if stop >= 40:
             assert fit.innovation is not None
             squares.append(fit.innovation.off_M @ np.linalg.solve(fit.innovation.covariance_M, fit.innovation.off_M))
@@ -89,7 +94,7 @@ def test_residuals_of_all_readings_are_those_of_the_geometry_and_name_gross_erro
     assert fit.residuals() is None
     p_M = one.p_M.copy()
     p_M[7] += 0.05
-    fit.add_all(range(STOPS), one.q, p_M, one.covariance_M)
+    fit.add(range(STOPS), one.q, p_M, one.covariance_M)
     found = fit.residuals()
     assert found is not None
     assert np.flatnonzero(found.gross).tolist() == [7]
@@ -106,7 +111,7 @@ def test_a_reading_of_another_smr_has_no_weight(readings):
     for stop in range(60):
         wrong = stop in (30, 31)
         p_M = one.p_M[stop] + (np.array([0.0, 1.2, 0.3]) if wrong else 0.0)
-        report = fit.add(stop, one.q[stop], p_M, one.covariance_M[stop])
+        report = fit.add([stop], one.q[[stop]], p_M[None], one.covariance_M[[stop]])
         if wrong:
             assert report is not None
             assert report.residual_mm > 1000.0
@@ -117,7 +122,7 @@ def test_points_on_one_line_and_the_same_stop_again_give_no_model():
     nominal = at_station(UR10, OFF_AXIS)
     q = np.tile(np.linspace(0.1, 0.6, 6), (8, 1))
     fit = OnlineFit(twin(), "left", q)
-    assert all(fit.add(stop, q[0], smr_positions(nominal, q[:1])[0]) is None for stop in range(8))
+    assert all(fit.add([stop], q[:1], smr_positions(nominal, q[:1])) is None for stop in range(8))
     assert not fit.ready
     assert fit.geometry is None
 
@@ -135,12 +140,12 @@ def test_steps_that_do_not_end_leave_no_model_and_nothing_is_said_about_a_readin
     one = readings["left"]
     fit = OnlineFit(twin(), "left", one.q)
     monkeypatch.setattr("cellapp.estimation.calibration.online._STEPS", 1)
-    reports = [fit.add(stop, one.q[stop], one.p_M[stop], one.covariance_M[stop]) for stop in range(5)]
+    reports = [add(fit, one, stop) for stop in range(5)]
     assert reports == [None] * 5
     assert not fit.ready
     assert (fit.geometry, fit.residuals(), fit.innovation) == (None, None, None)
     monkeypatch.undo()
     for stop in range(5, 20):
-        fit.add(stop, one.q[stop], one.p_M[stop], one.covariance_M[stop])
+        add(fit, one, stop)
     assert fit.ready
     assert error_m(fit, one.q, one.true_M) < 2e-3

@@ -25,7 +25,7 @@ from cellapp.estimation.discovery.joint_fit import (
     cross_validated_gain,
     fit_terms,
 )
-from cellapp.estimation.discovery.plan_forecast import PlannedReadings, planned_data, planned_effects
+from cellapp.estimation.discovery.plan_forecast import expected_readings, planned_data, planned_effects
 from cellapp.estimation.discovery.process import (
     CURVE_LENGTHS,
     Component,
@@ -177,8 +177,11 @@ STOPS = 60
 @pytest.fixture(scope="module")
 def planned() -> ArmData:
     profile = small_twin(STOPS)
-    expected = PlannedReadings(np.linspace(0.0, 8.0 * STOPS, STOPS), np.full(STOPS, 0.2))
-    return planned_data(profile, plan_stops(profile), expected)["left"]
+    plan = plan_stops(profile)
+    time_s, dwell_s, load = np.linspace(0.0, 8.0 * STOPS, STOPS), np.full(STOPS, 0.2), np.zeros(STOPS, dtype=np.intp)
+    step = {name: np.diff(q, axis=0, prepend=np.zeros((1, 6))) for name, q in plan.items()}
+    readings = expected_readings(profile, plan, time_s=time_s, dwell_s=dwell_s, step=step, load=load)
+    return planned_data(readings["left"])
 
 
 @pytest.mark.parametrize("slug", ["backlash", "encoder_eccentricity", "joint_compliance"])
