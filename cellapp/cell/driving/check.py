@@ -6,17 +6,17 @@ base, tracker or SMR may have moved.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import combinations
-from typing import Protocol
 
 import numpy as np
 
 from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.measuring import APART_M, MISSED, FoundPoint, SmrSearch
-from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover
+from cellapp.cell.driving.motion import Confirm, MotionRefused
 from cellapp.cell.driving.supervision import MovingCell, moving_cell
 from cellapp.cell.driving.target_visit import Driver
 from cellapp.cell.planning.planned_stops import tell_time, visits_s
@@ -32,26 +32,8 @@ from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import CellModel
 from drivers.arms.protocol import ArmState
 
-
-class StopTest(Protocol):
-    """Test that receives the readings of each stop, as ``SequentialTest``."""
-
-    def add(self, readings: Mapping[str, Readings]) -> SequentialState:
-        """Add one stop, arm -> its reading; return the state of the test."""
-
-
-@dataclass(frozen=True, eq=False)
-class CheckTask:
-    """Settings of a check.
-
-    ``model`` is in the present tracker frame. ``stops`` are readings of the calibration, one of each arm, in the order
-    of driving. ``excess_m`` is as in ``fit_station``.
-    """
-
-    profile: Profile
-    model: CellModel
-    stops: Sequence[Mapping[str, Readings]]
-    excess_m: Mapping[str, float]
+Judge = Callable[[Mapping[str, Readings]], SequentialState]
+"""Function that adds one stop, arm -> its reading, and returns the state of the test, as ``SequentialTest.add``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,15 +60,20 @@ class DrivenCheck:
 
 
 def drive_check(
-    task: CheckTask,
-    test: StopTest,
+    profile: Profile,
+    model: CellModel,
+    stops: Sequence[Mapping[str, Readings]],
+    judge: Judge,
+    excess_m: Mapping[str, float],
     control: JobControl,
     *,
     confirm: Confirm | None = None,
     opened: Callable[[Cell], object] = lambda cell: None,
 ) -> DrivenCheck:
-    """Visit the stops with all arms together until ``test`` is decided.
+    """Visit the stops with all arms together until ``judge`` is sure.
 
+    ``model`` is in the present tracker frame. ``stops`` are readings of the calibration, one of each arm, in the order
+    of driving. ``excess_m`` is as in ``fit_station``.
     If the gate refuses a stop for all arms together, each goes there alone, with the others at home. ``opened`` is
     called with the open cell before anything moves; an exception from it ends the job. ``confirm`` is called before the
     first motion.
@@ -100,19 +87,18 @@ def drive_check(
     Stopped, Aborted
         On request; the arms have been braked.
     """
-    profile = task.profile
-    with moving_cell(profile, task.model, control, confirm=confirm, opened=opened) as moving:
+    with moving_cell(profile, model, control, confirm=confirm, opened=opened) as moving:
         repeat, mover = profile.collection.repeat, moving.mover
         repeats = 1 if repeat.precision is None else repeat.times
-        search = SmrSearch(profile, task.model, mover, np.eye(4), task.excess_m, repeats, moving.hold)
-        checking = _Checking(task, test, moving, mover, Driver(mover, home_positions(profile)), search, control)
-        seconds = visits_s(profile, [{name: its.q[0] for name, its in stop.items()} for stop in task.stops])
-        tell_time(control, "check", profile, seconds, 0, len(task.stops), "takes at most about")
-        driven = checking.visit_all()
+        search = SmrSearch(profile, model, mover, np.eye(4), excess_m, repeats, moving.hold)
+        checking = _Checking(stops, judge, moving, Driver(mover, home_positions(profile)), search, control)
+        seconds = visits_s(profile, [{name: its.q[0] for name, its in stop.items()} for stop in stops])
+        tell_time(control, "check", profile, seconds, 0, len(stops), "takes at most about")
+        checking.visit_all()
         mover.go_home()
-        driven.seconds = checking.elapsed_s()
-    control.tell("check", len(task.stops), len(task.stops), "done")
-    return driven
+        checking.driven.seconds = checking.elapsed_s()
+    control.tell("check", len(stops), len(stops), "done")
+    return checking.driven
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
@@ -120,31 +106,28 @@ def drive_check(
 
 @dataclass(eq=False)
 class _Checking:
-    task: CheckTask
-    test: StopTest
+    stops: Sequence[Mapping[str, Readings]]
+    judge: Judge
     moving: MovingCell
-    mover: Mover
     driver: Driver
     search: SmrSearch
     control: JobControl
     driven: DrivenCheck = field(default_factory=DrivenCheck)
-
-    def __post_init__(self) -> None:
-        self._missed = dict.fromkeys(self.task.profile.arms, 0)
+    _missed: Counter[str] = field(default_factory=Counter)
 
     def elapsed_s(self) -> float:
         """Time since the first motion [s]."""
         return self.moving.cell.clock.now_s() - self.moving.began_s
 
-    def visit_all(self) -> DrivenCheck:
+    def visit_all(self) -> None:
         """Visit the stops until the test is decided, or every arm is given up."""
-        for number, stop in enumerate(self.task.stops):
+        for number, stop in enumerate(self.stops):
             self.moving.hold()
-            self.mover.slow_start(number)
+            self.moving.mover.slow_start(number)
             wanted = {name: q for name, q in stop.items() if name not in self.driven.lost}
             if not wanted:
                 break
-            self.control.tell("check", number, len(self.task.stops), f"stop {number + 1}")
+            self.control.tell("check", number, len(self.stops), f"stop {number + 1}")
             if self._visit(number, wanted):
                 break
         if not self.driven.stops:
@@ -152,7 +135,6 @@ class _Checking:
                 f"no SMR could be measured at any stop: {'; '.join(self.driven.notes)}. If the tracker was moved, run"
                 " 'cellapp check DIR --tracker-moved' with --tracker-pose first"
             )
-        return self.driven
 
     def _visit(self, number: int, wanted: Mapping[str, Readings]) -> bool:
         """Measure the arms at one stop, together or one by one; return whether the test is decided."""
@@ -190,7 +172,7 @@ class _Checking:
         rows = {name: self._reading(name, point) for name, point in found.items()}
         # arms that went to a stop one by one count as two stops: the other arm was at home
         count = len(self.driven.stops)
-        state = self.test.add({name: row.at_stop(count) for name, row in rows.items()})
+        state = self.judge({name: row.at_stop(count) for name, row in rows.items()})
         self.driven.stops.append(MeasuredStop(number, found, state, self.elapsed_s()))
         return state.sure
 
@@ -216,7 +198,7 @@ class _Checking:
         It has no time: seconds since the start of the run would be far beyond the times of the calibration.
         """
         conditions, point = found.conditions, found.point
-        return self.mover.reading(
+        return self.moving.mover.reading(
             name,
             point,
             sequence=float(len(self.driven.stops)),

@@ -26,7 +26,7 @@ from cellapp.ground.profile import Arm, Profile
 from cellapp.robot.effects import EFFECTS, MeasurementConditions
 from cellapp.robot.effects.law import InputVariable
 from cellapp.robot.kinematics.chain import Geometry, flange_poses
-from cellapp.robot.kinematics.inverse import closed_form_solutions, shifted_into, solve_pose
+from cellapp.robot.kinematics.inverse import all_branches, shifted_into, solve_pose
 from cellapp.robot.kinematics.transforms import Array, invert, rotation_from_vector, rotation_vectors, transform
 from cellapp.robot.model import ArmModel, CellModel
 
@@ -166,8 +166,7 @@ def _meant(
         meant[k] = meant_flange(chain, targets[k])
     middle = np.mean([place.measured.min(axis=0), place.measured.max(axis=0)], axis=0)
     start = middle if place.home is None else place.home
-    near = np.array([targets[k].near or start.tolist() for k in poses]).reshape(-1, len(start))
-    solutions = dict(zip(poses, branches(chain, meant[poses], place.limits, near, place.seed), strict=True))
+    solutions = dict(zip(poses, branches(chain, meant[poses], place.limits, start, place.seed), strict=True))
     chosen: list[tuple[Array | None, str]] = []
     last, function, line = start, None, 0
     for k, target in enumerate(targets):
@@ -285,8 +284,6 @@ def _corrected(target: ProgramTarget, *, q_new: Array, meant: Array, told: Array
 # Joint targets mean the pose that the controller computes for them.
 
 
-_STARTS = 48
-"""Random starts of the inverse per pose, for a chain without a closed form: six joints have at most 16 solutions."""
 _ROUNDS = 12
 """Maximum number of fixed-point iterations of ``aim``: each gains two decades, as model corrections vary slowly."""
 _SAME_ROTATION = 1e-10
@@ -294,8 +291,6 @@ _SAME_ROTATION = 1e-10
 _MARGIN = np.radians(2.0)
 """Margin [rad] of the joint ranges of the readings. Model corrections vary over tens of degrees, and a correction alone
 may move a program's posture beyond the outermost reading."""
-_TWIN = 1e-6
-"""Solutions that agree to this in every joint [rad] are the same: 1 µrad."""
 
 
 def meant_flange(chain: Geometry, target: ProgramTarget) -> Array:
@@ -362,21 +357,11 @@ def aim(arm: ArmModel, wanted_M: Array, start: Array, conditions: MeasurementCon
 def branches(chain: Geometry, poses: Array, limits: Array, near: Array, seed: int) -> list[Array]:
     """Return for each of n flange poses (n, 4, 4) all joint positions (k, N) [rad] within limits (N, 2) that reach it.
 
-    ``near`` (n, N) is an additional start per pose, besides closed-form or random ones.
+    Of a chain without a closed form they are searched for from samples and from ``near`` (N,).
     """
-    n, joints = len(poses), chain.joints
-    starts = closed_form_solutions(chain, poses[:, :3, 3], poses[:, :3, :3], near)
-    if starts is None:
-        random = np.random.default_rng([seed, 0x9A0]).uniform(-np.pi, np.pi, (_STARTS, joints))
-        starts = np.tile(random, (n, 1, 1))
-    starts = np.concatenate([near[:, None], starts], axis=1).reshape(-1, joints)
-    which = np.repeat(np.arange(n), len(starts) // max(n, 1))
-    which, starts = which[np.isfinite(starts[:, 0])], starts[np.isfinite(starts[:, 0])]
-    solved = solve_pose(chain, poses[which, :3, 3], poses[which, :3, :3], starts)
-    q = np.mod(solved.q + np.pi, 2.0 * np.pi) - np.pi
-    within = np.all(shifted_into(q, limits, np.zeros(joints))[1] == 0.0, axis=1)
-    good = solved.reached & within
-    return [_distinct(q[(which == k) & good]) for k in range(n)]
+    q = all_branches(chain, poses[:, :3, 3], poses[:, :3, :3], limits, near, seed)
+    within = np.all(shifted_into(q, limits, np.zeros(chain.joints))[1] == 0.0, axis=2) & np.isfinite(q[:, :, 0])
+    return [one[rows] for one, rows in zip(q, within, strict=True)]
 
 
 def nearest(solutions: Array, limits: Array, to: Array) -> Array | None:
@@ -418,16 +403,6 @@ def _poses(rotations: Array, origins: Array) -> Array:
     poses = np.tile(transform(np.eye(3), np.zeros(3)), (len(origins), 1, 1))
     poses[:, :3, :3], poses[:, :3, 3] = rotations, origins
     return poses
-
-
-def _distinct(q: Array) -> Array:
-    """Return solutions (k, N) without duplicates."""
-    kept: list[Array] = []
-    for one in q:
-        apart = [np.abs(np.mod(one - other + np.pi, 2.0 * np.pi) - np.pi).max() for other in kept]
-        if not apart or min(apart) > _TWIN:
-            kept.append(one)
-    return np.array(kept).reshape(-1, q.shape[1])
 
 
 # -- Write new numbers into the text of a program; everything else stays unchanged, byte for byte ---------------------

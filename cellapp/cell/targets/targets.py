@@ -415,12 +415,8 @@ def frame_problem(frame: WorkFrame, profile: Profile) -> str:
 
 
 def same_target(target: Target, stored: TargetRecord) -> bool:
-    """Return whether a stored result is about this target as it is now; earlier versions stored no digest."""
-    now = (target.name, target.frame, target.position, target.rpy, target.tolerance_mm)
-    then = (stored.name, stored.frame, stored.position, stored.rpy, stored.tolerance_mm)
-    if now != then or stored.arm not in target.arms or stored.partner != partner_of(target, stored.arm):
-        return False
-    return stored.definition in ("", definition(target))
+    """Return whether a stored result is about this target as it is now."""
+    return stored.arm in target.arms and stored.definition == definition(target)
 
 
 def target_record(target: Target, arm: str) -> TargetRecord:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from cellapp.cell.driving.cell_checks import noting_controllers
-from cellapp.cell.driving.check import CheckTask, DrivenCheck, MeasuredStop, check_candidates, drive_check
+from cellapp.cell.driving.check import DrivenCheck, MeasuredStop, check_candidates, drive_check
 from cellapp.cell.driving.measuring import FoundPoint, points_of
 from cellapp.cell.driving.requests import running_job
 from cellapp.cell.driving.verification import measured_rotation
@@ -83,8 +83,7 @@ def check_run(run: RunFile, request: CheckRequest, work: Work, plant: Plant | No
     design = design_of(checked.belief)
     chosen = _stops(run.profile, checked, design, request.most_stops)
     profile = _with_plant(profile_at_station(run, checked.stages), plant)
-    task = CheckTask(profile, checked.model, chosen, excess_of_readings(run, checked.model))
-    test = SequentialTest(design, len(chosen))
+    test, excess_m = SequentialTest(design, len(chosen)), excess_of_readings(run, checked.model)
     notes: list[str] = []
     if checked.stale:
         notes.append(f"the model in force, that of '{checked.used.name}', was checked although {checked.stale}")
@@ -92,7 +91,9 @@ def check_run(run: RunFile, request: CheckRequest, work: Work, plant: Plant | No
     opened = noting_controllers(run, notes)
     with running_job(run, control, "check"):
         confirm = confirmation(run.profile, work.ask(run.profile.name))
-        driven = drive_check(task, test, control, confirm=confirm, opened=opened)
+        driven = drive_check(
+            profile, checked.model, chosen, test.add, excess_m, control, confirm=confirm, opened=opened
+        )
         result = _result(run, checked, driven, test.conclusion())
         result = result.model_copy(update={"notes": (*notes, *result.notes), "simulated": plant is not None})
         _store(run, checked, result)  # before the end is reported: listeners then read the run

@@ -21,38 +21,25 @@ NO_REFERENCES = "No reference was measured yet."
 _STOP = Axis("stop")
 
 
-def live_residual_chart(reports: Sequence[StopReport], arms: Sequence[str] = (), nothing: str = NO_READINGS) -> Chart:
-    """Show the residual of each stop from the model refitted with it, by arm.
+def residual_chart(
+    stops: Sequence[StopReport | CollectedStop],
+    arms: Sequence[str] = (),
+    nothing: str = NO_READINGS,
+    chosen: CollectedStop | None = None,
+) -> Chart:
+    """Show the residual of each stop by arm: from the model refitted with it, of stored stops from that of all of them.
 
     ``arms`` fixes the order of the arms, and with it their colours and marks, before all have reported. ``nothing`` is
-    the message without a report.
+    the message without a residual. The ``chosen`` stop is marked.
     """
-    by_arm = _by_arm(reports, arms)
-    message = nothing
-    if reports:
-        latest = [
-            f"{name} {mm(rows[-1].residual_mm)} at stop {rows[-1].stop + 1}"
-            f" (median {mm(statistics.median(row.residual_mm for row in rows))})"
-            for name, rows in by_arm.items()
-            if rows
-        ]
-        message = f"Last residual: {enumerated(latest)}."
-    drawn = _named({name: [(row.stop + 1, row.residual_mm) for row in rows] for name, rows in by_arm.items()}, "points")
-    return Chart("Residual of each stop", _STOP, Axis("residual", "mm"), drawn, message)
-
-
-def stored_residual_chart(
-    stops: Sequence[CollectedStop], arms: Sequence[str] = (), chosen: CollectedStop | None = None
-) -> Chart:
-    """Show the residual of each stored stop from the model fitted to all of them, by arm; mark the ``chosen`` stop."""
-    by_arm = grouped((one.arm, (one.stop + 1, one.residual_mm)) for one in stops if one.residual_mm is not None)
-    ordered: dict[str, list[tuple[int, float]]] = {name: [] for name in arms} | by_arm
-    drawn = [*_named(ordered, "points")]
-    medians = [f"{name} {mm(statistics.median(length for _, length in rows))}" for name, rows in by_arm.items()]
-    message = f"Median: {enumerated(medians)}." if by_arm else NO_READINGS
+    known = grouped((one.arm, (one.stop + 1, one.residual_mm)) for one in stops if one.residual_mm is not None)
+    by_arm: dict[str, list[tuple[int, float]]] = {name: [] for name in arms} | known
+    drawn = [*_named(by_arm, "points")]
+    medians = [f"{name} {mm(statistics.median(length for _, length in rows))}" for name, rows in known.items()]
+    message = f"Median: {enumerated(medians)}." if known else nothing
     if chosen is not None and chosen.residual_mm is not None:
         name = f"stop {chosen.stop + 1}, arm {chosen.arm}"
-        style = [*ordered].index(chosen.arm)
+        style = [*by_arm].index(chosen.arm)
         drawn.append(series(name, [chosen.stop + 1], [chosen.residual_mm], "points", style=style, mark="◉"))
         message = f"Chosen: {name}, {mm(chosen.residual_mm)}. {message}"
     return Chart("Residual of each stop", _STOP, Axis("residual", "mm"), tuple(drawn), message)
@@ -60,7 +47,7 @@ def stored_residual_chart(
 
 def standard_error_chart(reports: Sequence[StopReport], arms: Sequence[str] = (), nothing: str = NO_READINGS) -> Chart:
     """Show the standard error of a predicted SMR position over the stops, by arm; ``arms`` and ``nothing`` as above."""
-    by_arm = _by_arm(reports, arms)
+    by_arm = {name: list[StopReport]() for name in arms} | grouped((report.arm, report) for report in reports)
     message = nothing
     if reports:
         changes = [
@@ -72,10 +59,6 @@ def standard_error_chart(reports: Sequence[StopReport], arms: Sequence[str] = ()
     axis = Axis("standard error", "mm", logarithmic=True)
     drawn = _named({name: [(row.stop + 1, row.standard_error_mm) for row in rows] for name, rows in by_arm.items()})
     return Chart("Standard error of a prediction", _STOP, axis, drawn, message)
-
-
-def _by_arm(reports: Sequence[StopReport], arms: Sequence[str]) -> dict[str, list[StopReport]]:
-    return {name: list[StopReport]() for name in arms} | grouped((report.arm, report) for report in reports)
 
 
 def _named(rows: Mapping[str, Sequence[tuple[float, float]]], kind: Kind = "line") -> tuple[Series, ...]:

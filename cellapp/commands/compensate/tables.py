@@ -229,7 +229,7 @@ def _rotation_urgency(target: TargetCommand) -> float:
 
 
 def verification_tables(result: VerifyResult) -> list[Table]:
-    """Show errors at new targets before and after compensation, and the targets with a tolerance.
+    """Show errors at new targets before and after compensation.
 
     Empty if no target was measured with both commands.
     """
@@ -250,21 +250,7 @@ def verification_tables(result: VerifyResult) -> list[Table]:
         )
         for what, unit in units.items()
     )
-    return [*with_rows(*errors), *_tolerance_tables(result)]
-
-
-def _tolerance_tables(result: VerifyResult) -> list[Table]:
-    """Show targets with a tolerance; of many, those with the largest error as a share of it."""
-    return urgent_rows(
-        "Targets with a tolerance [mm]",
-        [one for one in all_measured(result) if one.tolerance_mm is not None],
-        ("target", "name"),
-        ("arm", _arms),
-        ("compensated", "final_mm", MM),
-        _TOLERANCE,
-        ("tolerance met", "verdict"),
-        urgency=lambda one: (one.final_mm or 0.0) / (one.tolerance_mm or math.inf),
-    )
+    return with_rows(*errors)
 
 
 def _arms(one: Measured) -> str:

@@ -141,7 +141,7 @@ def targets_section(
 
 def _tables(compensate: CompensateResult | None, verify: VerifyResult | None) -> Iterator[Table]:
     if verify is not None:
-        yield from verification_tables(verify)[:1]  # without tolerances: the tables of targets have them
+        yield from verification_tables(verify)
         yield from measured_tables(verify)
     if compensate is not None and verify is None:
         yield from predicted_tables(compensate)

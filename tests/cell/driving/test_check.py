@@ -8,13 +8,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
 from cellapp.cell.driving.cell import Cell, open_cell
-from cellapp.cell.driving.check import CheckTask, DrivenCheck, check_candidates, drive_check
+from cellapp.cell.driving.check import DrivenCheck, check_candidates, drive_check
 from cellapp.cell.driving.locate import LocatingStops
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import home_positions
@@ -59,19 +59,28 @@ class Fed:
         )
 
 
+class Task(NamedTuple):
+    """What is checked: profile, model, stops, and what the readings scatter by beside the tracker."""
+
+    profile: Profile
+    model: CellModel
+    stops: list[dict[str, Readings]]
+    excess_m: Mapping[str, float]
+
+
 @pytest.fixture(scope="module")
-def task(finished_run: Path) -> CheckTask:
+def task(finished_run: Path) -> Task:
     """Six stops of the finished run, 20 deg apart at least."""
     with RunFile.open(finished_run) as run:
         model = model_of(run, stage_in_force(run, read_stages(run)))
         candidates = check_candidates(run.profile, model, {name: run.readings(name) for name in run.profile.arms})
         stops = [{name: its.take([row]) for name, its in candidates.items()} for row in range(0, 60, 10)]
-        return CheckTask(run.profile, model, stops, excess_of_readings(run, model))
+        return Task(run.profile, model, stops, excess_of_readings(run, model))
 
 
-def driven(task: CheckTask, test: Fed, open_with: Opened = open_cell, **options: Any) -> DrivenCheck:
+def driven(task: Task, test: Fed, open_with: Opened = open_cell, **options: Any) -> DrivenCheck:
     with opened_by(open_with):
-        return drive_check(task, test, **{"control": JobControl(), **options})
+        return drive_check(*task[:3], test.add, task.excess_m, **{"control": JobControl(), **options})
 
 
 @contextmanager
@@ -92,7 +101,7 @@ def refusing(profile: Profile, *, together: bool, alone: Sequence[str] = (), **_
         yield replace(cell, gate=gate)
 
 
-def test_it_ends_when_the_test_is_sure(task: CheckTask) -> None:
+def test_it_ends_when_the_test_is_sure(task: Task) -> None:
     events: list[Progress] = []
     test = Fed(sure_after=3)
     found = driven(task, test, control=JobControl(events.append))
@@ -104,7 +113,7 @@ def test_it_ends_when_the_test_is_sure(task: CheckTask) -> None:
     assert times[-1] < found.seconds
 
 
-def test_where_the_gate_refuses_both_each_arm_goes_alone(task: CheckTask) -> None:
+def test_where_the_gate_refuses_both_each_arm_goes_alone(task: Task) -> None:
     test = Fed(sure_after=4)
     found = driven(task, test, open_with=partial(refusing, together=True))
     assert [list(stop) for stop in test.stops] == [["left"], ["right"]] * 2
@@ -116,7 +125,7 @@ def test_where_the_gate_refuses_both_each_arm_goes_alone(task: CheckTask) -> Non
     np.testing.assert_allclose(beside, homes["right"], atol=1e-6)
 
 
-def test_an_arm_that_cannot_go_anywhere_is_noted(task: CheckTask) -> None:
+def test_an_arm_that_cannot_go_anywhere_is_noted(task: Task) -> None:
     test = Fed()
     found = driven(task, test, open_with=partial(refusing, together=True, alone=["left"]))
     assert [list(stop) for stop in test.stops] == [["right"]] * len(task.stops)
@@ -125,7 +134,7 @@ def test_an_arm_that_cannot_go_anywhere_is_noted(task: CheckTask) -> None:
         driven(task, Fed(), open_with=partial(refusing, together=True, alone=["left", "right"]))
 
 
-def test_a_lost_smr_is_given_up_after_some_stops_and_the_other_arm_goes_on(task: CheckTask) -> None:
+def test_a_lost_smr_is_given_up_after_some_stops_and_the_other_arm_goes_on(task: Task) -> None:
     opened: list[Cell] = []
 
     def cover(event: Progress) -> None:
@@ -143,7 +152,7 @@ def test_a_lost_smr_is_given_up_after_some_stops_and_the_other_arm_goes_on(task:
     assert found.stops[-1].found["left"].others["right"] == pytest.approx(home_positions(task.profile)["right"])
 
 
-def test_readings_without_common_stops_are_paired(task: CheckTask, finished_run: Path) -> None:
+def test_readings_without_common_stops_are_paired(task: Task, finished_run: Path) -> None:
     with RunFile.open(finished_run) as run:
         readings = {name: run.readings(name) for name in run.profile.arms}
     apart = {**readings, "right": replace(readings["right"], configuration=readings["right"].configuration + 1000)}
@@ -153,7 +162,7 @@ def test_readings_without_common_stops_are_paired(task: CheckTask, finished_run:
     np.testing.assert_array_equal(found["left"].q, again["left"].q)
 
 
-def test_a_cell_without_a_free_stop_is_refused(task: CheckTask, finished_run: Path) -> None:
+def test_a_cell_without_a_free_stop_is_refused(task: Task, finished_run: Path) -> None:
     with RunFile.open(finished_run) as run:
         readings = {name: run.readings(name) for name in run.profile.arms}
     lying = {name: replace(arm, q=np.zeros_like(arm.q)) for name, arm in readings.items()}

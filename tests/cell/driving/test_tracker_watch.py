@@ -296,6 +296,8 @@ def references(*shifts: Mapping[str, float]) -> list[list[tuple[str, str | None]
 
 def test_references_that_stand_still_raise_nothing():
     assert references({}, {"n1": 50e-6}, {"left": -50e-6}) == [[], [], []]
+    creep = [dict.fromkeys(NESTS, size) for size in (0.0, 60e-6, 120e-6, 130e-6)]
+    assert references(*creep) == [[], [], [], []], "a drift suspends the job"
 
 
 def test_all_references_that_jump_mean_the_tracker_and_once():
@@ -306,10 +308,3 @@ def test_all_references_that_jump_mean_the_tracker_and_once():
 def test_one_reference_that_jumps_means_its_own_smr():
     assert references({}, {"left": 0.3e-3}) == [[], [("loose SMR", "left")]]
     assert references({}, {"n1": 0.3e-3}) == [[], [("loose SMR", None)]]
-
-
-def test_references_that_creep_mean_drift():
-    creep = [dict.fromkeys(NESTS, size) for size in (0.0, 60e-6, 120e-6, 130e-6)]
-    assert references(*creep) == [[], [], [("drift", None)], []]
-    arm = [{"right": size} for size in (0.0, 60e-6, 120e-6)]
-    assert references(*arm) == [[], [], [("drift", "right")]]

@@ -23,7 +23,7 @@ from cellapp.cell.targets.compensate import compensate
 from cellapp.cell.targets.prediction import Command, command_record
 from cellapp.cell.targets.records import ArmVerification, CompensateResult, VerifyResult
 from cellapp.cell.targets.targets import Target, load_targets, same_target
-from cellapp.commands.compensate.tables import predicted_tables, verification_tables
+from cellapp.commands.compensate.tables import measured_tables, predicted_tables
 from cellapp.commands.compensate.words import verify_lines
 from cellapp.commands.push.run import judge_of
 from cellapp.commands.run_results import read_results
@@ -186,7 +186,7 @@ def test_tolerances_are_predicted_measured_and_complained_about(run: RunFile, mo
     (complaint,) = found.complaints()
     assert complaint.startswith(f"1 of 2 targets with a tolerance are out of it: {TARGETS[1].name} (0.0")
     assert complaint.endswith(" mm, tolerance 0.001 mm) (1 of these not proven with the uncertainty)")
-    assert [row[-1] for row in verification_tables(found)[1].rows] == ["in", "not decided", ""]
+    assert [row[-1] for row in measured_tables(found)[0].rows] == ["in", "not decided", ""]
     assert all(same_target(target, stored) for target, stored in zip(targets, found.targets))
     assert not same_target(targets[0].model_copy(update={"tolerance": None}), found.targets[0])
 

@@ -24,13 +24,12 @@ from cellapp.cell.targets.records import (
     MeasuredPair,
     MeasuredTarget,
     TargetCommand,
-    TargetRecord,
     UnknownCondition,
     VerifyResult,
 )
-from cellapp.cell.targets.targets import Partner, Target
+from cellapp.cell.targets.targets import Partner, Target, target_record
 from cellapp.commands.check.request import VERB as CHECK_VERB
-from cellapp.commands.collect.charts import stored_residual_chart
+from cellapp.commands.collect.charts import residual_chart
 from cellapp.commands.collect.result import CollectedStop, ResidualRange
 from cellapp.commands.collect.state import collection_state
 from cellapp.commands.collect.view import collect_lines, other_notes, residual_range_words, stored_view
@@ -197,26 +196,15 @@ BOTH = Target(
 FAR = Target(name="far", arm="right", position=(4.0, 0.0, 0.0))
 
 
-def record(target: Target, arm: str = "") -> dict[str, Any]:
-    arm = arm or target.arm
-    partner = "" if target.partner is None else next(name for name in target.arms if name != arm)
-    return dict(
-        TargetRecord(
-            name=target.name, arm=arm, position=target.position, rpy=target.rpy, tolerance_mm=target.tolerance_mm,
-            frame=target.frame, partner=partner,
-        )
-    )  # fmt: skip
-
-
 def command(target: Target, arm: str = "", **values: object) -> TargetCommand:
     known = {"refusal": "", "q_nominal": (0.0,) * 6, "q_compensated": (0.1,) * 6, "uncertainty_mm": 0.013}
-    return TargetCommand.model_validate({**record(target, arm), **known, **values})
+    return TargetCommand.model_validate({**dict(target_record(target, arm or target.arm)), **known, **values})
 
 
 def measured(target: Target, before: float | None, *after: float, **values: object) -> MeasuredTarget:
     known = {"nominal_mm": before, "compensated_mm": after[0] if after else None, "rounds_mm": after, "note": ""}
     known |= {"corrected_mm": after[-1]} if len(after) > 1 else {}
-    return MeasuredTarget.model_validate({**record(target), **known, **values})
+    return MeasuredTarget.model_validate({**dict(target_record(target, target.arm)), **known, **values})
 
 
 COMPENSATED = CompensateResult(
@@ -302,7 +290,7 @@ def collections() -> Parts:
     return [
         *("--- many", *collect_lines(many), "--- early", *collect_lines(early)),
         *("--- other notes", *other_notes(early, notes), *other_notes(None, notes)),
-        *(stored_residual_chart(stops), stored_residual_chart(stops, ("left", "right"), stops[3])),
+        *(residual_chart(stops), residual_chart(stops, ("left", "right"), chosen=stops[3])),
     ]
 
 

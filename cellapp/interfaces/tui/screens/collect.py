@@ -19,13 +19,7 @@ from textual.containers import Container, Horizontal
 from textual.content import Content
 from textual.widgets import Static
 
-from cellapp.commands.collect.charts import (
-    drift_chart,
-    live_drift_chart,
-    live_residual_chart,
-    standard_error_chart,
-    stored_residual_chart,
-)
+from cellapp.commands.collect.charts import drift_chart, live_drift_chart, residual_chart, standard_error_chart
 from cellapp.commands.collect.request import VERB as COLLECT
 from cellapp.commands.collect.view import collection_tables
 from cellapp.commands.docs.keys import SHOWN
@@ -362,9 +356,9 @@ class CollectScreen(DayScreen):
                 return live_drift_chart(record.references)
             return drift_chart(collection.references, collection.drift_limit_mm)
         reports = [report for arm in record.stops.values() for report in arm]
-        if name == "residuals" and not reports and collection is not None:
-            return stored_residual_chart(
-                collection.stops, self._arm_names(record), self.query_one(CollectedStops).chosen
-            )
-        draw = live_residual_chart if name == "residuals" else standard_error_chart
-        return draw(reports, self._arm_names(record), self.state.not_collected)
+        arms, nothing = self._arm_names(record), self.state.not_collected
+        if name == "errors":
+            return standard_error_chart(reports, arms, nothing)
+        if reports or collection is None:
+            return residual_chart(reports, arms, nothing)
+        return residual_chart(collection.stops, arms, chosen=self.query_one(CollectedStops).chosen)
