@@ -172,9 +172,9 @@ def _checked_rows(table: CsvTable, problems: Problems) -> dict[int, NestPoint]:
     rows: dict[int, NestPoint] = {}
     for row, (line, *words) in enumerate(zip(table.lines, cells.texts("station"), cells.texts("nest"), strict=True)):
         station, nest = map(str.strip, words)
-        for column, word in (("station", station), ("nest", nest)):
+        for name, word in (("station", station), ("nest", nest)):
             if not word:
-                problems.add(line, column, "the value is missing")
+                problems.add(line, name, "the value is missing")
         if (first := seen.setdefault((station, nest), line)) != line:
             problems.add(
                 line, "nest", f"'{nest}' of station '{station}' is in line {first} already; give the mean of both"
