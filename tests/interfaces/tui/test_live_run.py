@@ -79,7 +79,7 @@ async def test_a_run_in_which_another_process_works_is_watched_and_commanded() -
             await until(pilot, lambda: badge(app) == " WATCHED · NO ARMS ", "the badge")
             assert f"Process {job.pid} runs 'collect' in logs/day: its state is shown" in log_text(app)
             await until(pilot, lambda: "RUNNING" in shown_text(app), "the state")
-            await until(pilot, lambda: "collect 2/30" in shown_text(app), "how far it is")
+            await until(pilot, lambda: "2/30" in shown_text(app), "how far it is")
             for key, state in (("p", "paused"), ("c", "running"), ("escape", "stopped"), ("c", "running")):
                 await pilot.press(key)
                 await until(pilot, lambda: app.record.state == state, f"{state} after {key}")  # noqa: B023
