@@ -24,7 +24,7 @@ from cellapp.cell.run.orientation_columns import QUATERNION, Written
 from cellapp.cell.run.records import StreamState
 from cellapp.cell.run.stream_csv import StreamTable
 from cellapp.estimation.motion.streams import JointStream, PointStream
-from cellapp.estimation.readings.columns import COLUMNS, Fault, beyond_limits
+from cellapp.estimation.readings.columns import COLUMNS, beyond_limits
 from cellapp.ground.errors import InputError
 
 Kind = Literal["joints", "points"]
@@ -428,7 +428,7 @@ OPTIONAL_OF_JOINTS = ("qd", "joint_temperature")
 BESIDE = "other_q"
 """Joint positions of the other arm of the cell, if it moved meanwhile."""
 
-_CHECKS = {name: column.check for column in COLUMNS for name in (column.csv[0],) if column.check is not None}
+_OF_POINTS = [column for column in COLUMNS if column.csv in (POINT, ("sigma_m",), QUATERNION)]
 _LEAST_ROWS = 20
 _SLOWEST_HZ, _FASTEST_HZ = 2.0, 20_000.0
 """Plausible sampling rates [Hz]; outside these, timestamps are not in seconds."""
@@ -447,8 +447,6 @@ _FASTEST_RAD_S = 12.0
 """Upper limit of joint speeds [rad/s]: no joint of an industrial arm is faster."""
 _REST_RAD, _REST_M = 1e-3, 2e-3
 """Ranges of joints and of the point within which an arm does not move."""
-_UNIT = 1e-3
-"""Largest deviation of a quaternion's length from one."""
 _GAP = 2.5
 """Multiple of the median step of the timestamps from which on a step is a gap."""
 
@@ -581,20 +579,12 @@ def point_faults(columns: Columns, *, dated: bool = False) -> Iterator[Implausib
     """Yield what is implausible in points; ``dated`` as in ``joint_faults``."""
     yield from _stamp_faults(columns["time_s"], dated)
     yield from _missing(columns, ("sigma_m", *QUATERNION))
+    for column in _OF_POINTS:
+        values = _matrix(columns, column.csv)
+        if values.size and column.check is not None and (fault := column.check(values)) is not None:
+            hint = "; if these are millimetres, name the columns x_mm, y_mm, z_mm" if column.csv == POINT else ""
+            yield Implausible(fault.row, column.csv[fault.place or 0], fault.text + hint)
     p = _matrix(columns, POINT)
-    for stem, matrix in (("x_m", p), ("sigma_m", _matrix(columns, ("sigma_m",)))):
-        names: tuple[str, ...] = POINT if stem == "x_m" else ("sigma_m",)
-        check = _CHECKS[stem]
-        fault: Fault | None = check(matrix) if names[0] in columns else None
-        if fault is not None:
-            hint = "; if these are millimetres, name the columns x_mm, y_mm, z_mm" if stem == "x_m" else ""
-            yield Implausible(fault.row, names[fault.place or 0], fault.text + hint)
-    if QUATERNION[0] in columns:
-        length = np.linalg.norm(_matrix(columns, QUATERNION), axis=1)
-        wrong = np.flatnonzero(np.abs(length - 1.0) > _UNIT)
-        if len(wrong):
-            text = f"expected a quaternion of length 1, got {length[wrong[0]]:.4g}; correct them, or leave them out"
-            yield Implausible(int(wrong[0]), QUATERNION[0], text)
     if len(p) and float(np.ptp(p, axis=0).max()) < _REST_M:
         yield Implausible(None, "x_m", f"the SMR does not move by {_REST_M * 1e3:g} mm; expected points of a motion")
 

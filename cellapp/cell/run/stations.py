@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -11,10 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
-from cellapp.cell.run.csv_text import NUMBER, CsvTable, Problems, check_names, read_csv_table, short
+from cellapp.cell.run.arm_cells import ArmCells
+from cellapp.cell.run.csv_text import CsvTable, Problems, check_names, read_csv_table
 from cellapp.cell.run.sqlite_file import select_document
 from cellapp.estimation.calibration.station_location import NestPoint, StationTie, TooFewNests, tie_stations
 from cellapp.estimation.readings import Readings
+from cellapp.estimation.readings.columns import COLUMNS
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.transforms import Array, apply, quaternions_of, rotations_of
@@ -23,9 +24,9 @@ STATIONS_RESULT = "stations"
 """Name of the document in which a run keeps the poses of its stations; it is part of the file format."""
 _COLUMNS = ("station", "nest", "x_m", "y_m", "z_m")
 _SIGMA = "sigma_m"
+_AS_READINGS = [column for column in COLUMNS if column.name in ("p_M", "sigma_m")]
 _SIGMA_M = 2e-5
 """Standard uncertainty of a nest that states none [m]."""
-_FURTHEST_M, _LARGEST_SIGMA_M = 100.0, 0.1
 _OFF = 6.0
 """Residual in standard uncertainties from which a nest has moved or is mistaken for another."""
 
@@ -157,35 +158,29 @@ def tie_sentences(first: str, ties: Mapping[str, StationTie], readings: Mapping[
 
 
 def _checked_rows(table: CsvTable, problems: Problems) -> dict[int, NestPoint]:
-    rows: dict[int, NestPoint] = {}
+    """Return the nests by line; points and uncertainties are checked as those of readings."""
+    cells = ArmCells(table, range(len(table.lines)), problems)
+    given = {column: cells.matrix(column, 0) for column in _AS_READINGS}
+    for column, values in given.items():
+        if values is not None:
+            cells.check(column, values, 0, None)
+    problems.check()
+    p, sigma = given.values()
+    assert p is not None
+    sigma_m = np.full(len(p), _SIGMA_M) if sigma is None else np.where(np.isnan(sigma), _SIGMA_M, sigma)[:, 0]
     seen: dict[tuple[str, str], int] = {}
-    sigmas = table.cells.get(_SIGMA, ("",) * len(table.lines))
-    cells = zip(table.lines, *(table.cells[name] for name in _COLUMNS), sigmas, strict=True)
-    for line, station, nest, *numbers in cells:
-        before = problems.count
-        station, nest = station.strip(), nest.strip()
-        for column, word in (("station", station), ("nest", nest)):
+    rows: dict[int, NestPoint] = {}
+    for row, (line, *words) in enumerate(zip(table.lines, cells.texts("station"), cells.texts("nest"), strict=True)):
+        station, nest = map(str.strip, words)
+        for name, word in (("station", station), ("nest", nest)):
             if not word:
-                problems.add(line, column, "the value is missing")
+                problems.add(line, name, "the value is missing")
         if (first := seen.setdefault((station, nest), line)) != line:
             problems.add(
                 line, "nest", f"'{nest}' of station '{station}' is in line {first} already; give the mean of both"
             )
-        *xyz, sigma = (text.strip() for text in numbers)
-        p = [_number(problems, line, name, text, _FURTHEST_M) for name, text in zip(_COLUMNS[2:], xyz, strict=True)]
-        sigma_m = _number(problems, line, _SIGMA, sigma, _LARGEST_SIGMA_M) if sigma else _SIGMA_M
-        if sigma_m <= 0.0:
-            problems.add(line, _SIGMA, f"expected an uncertainty above 0 m, got '{short(sigma)}'")
-        if problems.count == before:
-            rows[line] = NestPoint(station, nest, np.array(p), sigma_m)
+        rows[line] = NestPoint(station, nest, p[row], float(sigma_m[row]))
     return rows
-
-
-def _number(problems: Problems, line: int, column: str, text: str, most: float) -> float:
-    value = float(text) if NUMBER.fullmatch(text) else math.nan
-    if not abs(value) <= most:
-        problems.add(line, column, f"expected metres up to {most:g}, got '{short(text)}'")
-    return value
 
 
 def _off(rows: Mapping[int, NestPoint], first: str) -> Iterator[tuple[int, str]]:

@@ -424,7 +424,7 @@ def exchange(rows: Rows) -> None:
         (drop(3), "station 'south' is not tied to 'north': measure three nests or more"),
         (change("x_m", "2.001", 0), "F0"),
         (change("nest", "F1", 5), r":8: nest: 'F1' of station 'south' is in line 7 already"),
-        (change("y_m", "far", 3), r":5: y_m: expected metres up to 100, got 'far'"),
+        (change("y_m", "far", 3), r":5: y_m: expected a finite number such as 0.25, got 'far'"),
         (change("station", "", 3), r":5: station: the value is missing"),
         (exchange, "did it move, or are names exchanged"),
         (drop(5), "no nest of station south, which readings of arm left name"),

@@ -148,7 +148,7 @@ BAD: dict[str, tuple[Callable[[Columns, Columns], tuple[Columns, Columns]], str]
     ),
     "quaternion": (
         lambda j, p: (j, {**p, **{f"quat_{a}": np.full(len(p["x_m"]), 0.6) for a in "wxyz"}}),
-        r"p\.csv:2: quat_w: expected a quaternion of length 1, got 1\.2",
+        r"p\.csv:2: quat_w: expected a unit quaternion, scalar first, got one of length 1\.2",
     ),
     "part of a quaternion": (
         lambda j, p: (j, {**p, "quat_w": np.ones(len(p["x_m"]))}),

@@ -64,7 +64,7 @@ async def test_from_an_empty_folder_to_a_verified_report() -> None:
         await pilot.press("n")
         await shows(pilot, "Nothing was searched yet", "b searches")
         await pilot.press("b")
-        await shows(pilot, "error after each step", "Next: Targets (key n)", wait_s=JOB_S)
+        await shows(pilot, "held out against a noise floor", "Next: Targets (key n)", wait_s=JOB_S)
         await pilot.press("n")
         await shows(pilot, "left-01: not compensated yet", "b Compensate")
         await pilot.press("b")

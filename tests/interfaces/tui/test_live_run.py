@@ -21,7 +21,7 @@ from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.widgets.header import DayHeader
 from tests.cell.run.small_runs import collected_run
-from tests.interfaces.tui.pilot import PROFILES, ended, log_text, opened, running, shown_text, shows, until
+from tests.interfaces.tui.pilot import PROFILES, ended, log_text, opened, running, shown_text, until
 from tests.interfaces.tui.terminal import ROOT
 from tests.waiting import WAIT_S, within
 
@@ -59,11 +59,11 @@ def said(process: subprocess.Popen[str]) -> str:
 
 
 async def watched(pilot: Pilot[None], app: CellApp, starts: bool = True) -> None:
-    """Wait until the application shows the job; at its start a line names that run."""
+    """Wait until the application shows the job; ``starts``: after its run was opened."""
     await opened(pilot, app)
     if starts:
-        await shows(pilot, "a goes on with the last run, logs/day: in use by")
-        await pilot.press("a", "3")
+        app.open_run(RUN)
+        await pilot.press("3")
     await until(pilot, lambda: app.jobs.watched, "the job of another process")
 
 
@@ -79,7 +79,7 @@ async def test_a_run_in_which_another_process_works_is_watched_and_commanded() -
             await until(pilot, lambda: badge(app) == " WATCHED · NO ARMS ", "the badge")
             assert f"Process {job.pid} runs 'collect' in logs/day: its state is shown" in log_text(app)
             await until(pilot, lambda: "RUNNING" in shown_text(app), "the state")
-            await until(pilot, lambda: "collect 2/30" in shown_text(app), "how far it is")
+            await until(pilot, lambda: "2/30" in shown_text(app), "how far it is")
             for key, state in (("p", "paused"), ("c", "running"), ("escape", "stopped"), ("c", "running")):
                 await pilot.press(key)
                 await until(pilot, lambda: app.record.state == state, f"{state} after {key}")  # noqa: B023
@@ -97,7 +97,8 @@ async def test_a_run_in_which_another_process_works_is_watched_and_commanded() -
 
 async def test_a_job_that_begins_or_ends_meanwhile_is_noticed() -> None:
     async with running(size=(120, 40)) as (pilot, app):
-        await pilot.press("a", "3")
+        app.open_run(RUN)
+        await pilot.press("3")
         await until(pilot, lambda: app.workspace.folder is not None, "the run")
         folder = app.workspace.folder
         assert folder is not None

@@ -34,7 +34,7 @@ def logs() -> Path:
 
 def names(app: CellApp) -> list[str]:
     table = app.screen.query_one("#runs", DataTable)
-    return [Path(str(row.key.value)).name for row in table.ordered_rows]
+    return [str(table.get_row_at(row)[1]) for row in range(table.row_count)]
 
 
 def about(app: CellApp) -> str:

@@ -104,7 +104,8 @@ async def opened_dialog(pilot: Pilot[None], app: CellApp, dialog: str) -> None:
         return
     seen = app.record.changes
     await until(pilot, lambda: app.record.changes > seen, "a busy screen")
-    assert "event" in log_text(app)
+    assert app.record.latest is not None
+    assert app.record.latest.job == "collect"
     if dialog == "leave":
         await pilot.press("q")
         await until(pilot, lambda: isinstance(app.screen, Choice), "the question")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 
 from rich.cells import cell_len
@@ -10,12 +9,10 @@ from textual.app import ComposeResult
 from textual.containers import Horizontal
 from textual.message import Message
 
-from cellapp.ground.progress import eta_words
 from cellapp.interfaces.tui.job_record import JobRecord
 from cellapp.interfaces.tui.run_state import SIGNS, Mark, RunState
 from cellapp.interfaces.tui.screens import SCREENS
 from cellapp.interfaces.tui.widgets.controls import Line, StopButton
-from cellapp.interfaces.tui.widgets.progress_bars import present_part
 from cellapp.interfaces.tui.workspace import Step
 
 _BADGES: Mapping[str, str] = {
@@ -39,7 +36,9 @@ class DayHeader(Horizontal):
         """Draw the open run and the running job; ``kind`` is that of the cell's arms."""
         job = state.job
         watched = job is not None and job.watched
-        words = job_words(record)
+        words = ""
+        if record.state is not None:  # the bars say how far it is
+            words = record.name if record.state == "running" else f"{record.name} {record.state.upper()}"
         self.query_one(".badge", Line).say(f" WATCHED ·{_BADGES[kind]}" if watched else _BADGES[kind], f"badge {kind}")
         self.query_one(".where", Line).say(state.where)
         line = self.query_one(".job", Line)
@@ -87,19 +86,3 @@ class StepTab(Line):
     def on_click(self) -> None:
         """Show the screen."""
         self.post_message(self.Chosen(self.step))
-
-
-def job_words(record: JobRecord) -> str:
-    """Return the current job in a few words: "collect 12/400, 3 min left"; empty without a job."""
-    latest = record.latest
-    if record.state is None:
-        return ""
-    if latest is None:
-        return f"{record.name} ..."
-    state = "" if record.state == "running" else f" {record.state.upper()}"
-    present = present_part(record)
-    remaining_s = None if present is None else present.remaining_s(time.monotonic())
-    eta = eta_words(remaining_s) if remaining_s and remaining_s > 0.0 else ""
-    has_parts = len(record.progress) > 1 or record.name == "run"
-    part = f"{record.name}: {latest.job}" if has_parts and latest.job != record.name else record.name
-    return f"{part}{state} {latest.done}/{latest.total}" + (f", {eta}" if eta else "")

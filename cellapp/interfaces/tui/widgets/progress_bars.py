@@ -50,12 +50,6 @@ def parts_of(record: JobRecord) -> tuple[Part, ...]:
     return tuple(Part(name, record.progress.get(name), record.heard_s.get(name, 0.0), waits) for name in names)
 
 
-def present_part(record: JobRecord) -> Part | None:
-    """Return the part that reported last; None before the first report."""
-    latest = record.latest
-    return next((part for part in parts_of(record) if latest is not None and part.name == latest.job), None)
-
-
 def ending_words(eta_s: float | None, now: datetime) -> str:
     """Return an estimated time in words and as clock time: ``12 min left, at 14:32``."""
     if eta_s is None:

@@ -10,7 +10,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, cast
 
-from rich.text import Text
 from textual import on, work
 from textual.app import ComposeResult
 from textual.binding import BindingType
@@ -21,6 +20,7 @@ from textual.worker import get_current_worker
 from cellapp.commands.report.request import VERB as REPORT
 from cellapp.commands.runs.result import RunsResult
 from cellapp.commands.runs.view import run_cells, run_columns, run_lines, runs_sentences
+from cellapp.commands.view.table import Table, columns_of
 from cellapp.ground.errors import CellappError
 from cellapp.interfaces.tui import verb_jobs as jobs_of_verbs
 from cellapp.interfaces.tui.host import Host
@@ -54,8 +54,7 @@ class RunsList(Vertical):
             yield Static(_READING, id="about", markup=False)
 
     def on_mount(self) -> None:
-        """Create the columns."""
-        self._table.add_columns(" ", *run_columns(""))
+        """Read the folder."""
         self.enter_list()
         self.action_read()
 
@@ -64,8 +63,8 @@ class RunsList(Vertical):
         return cast(Host, self.app)
 
     @property
-    def _table(self) -> DataTable[Text]:
-        return self.query_one("#runs", DataTable)
+    def _table(self) -> TextTable:
+        return self.query_one(TextTable)
 
     @property
     def _run(self) -> RunSummary | None:
@@ -104,14 +103,10 @@ class RunsList(Vertical):
 
     def _draw(self, present: RunSummary | None) -> None:
         """Draw the rows; the cursor stays on its run."""
-        table, columns = self._table, run_columns(self._found.folder)
-        table.clear()
-        for run in self._found.runs:
-            cells = (_OPEN if self._is_open(run) else " ", *run_cells(run, columns))
-            table.add_row(*(Text(cell, "dim" if run.problem else "") for cell in cells), key=run.run)
-        names = [run.run for run in self._found.runs]
-        if present is not None and present.run in names:
-            table.move_cursor(row=names.index(present.run))
+        runs, columns = self._found.runs, run_columns(self._found.folder)
+        rows = tuple((_OPEN if self._is_open(run) else " ", *run_cells(run, columns)) for run in runs)
+        row = next((row for row, run in enumerate(runs) if present is not None and run.run == present.run), 0)
+        self._table.show(Table("Runs", columns_of(" ", *columns), rows), row)
         self._draw_about()
 
     def _is_open(self, run: RunSummary) -> bool:
