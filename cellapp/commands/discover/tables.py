@@ -96,8 +96,6 @@ def evidence_table(name: str, arm: ArmDiscoveryResult) -> Table:
         ("effect", "title"),
         ("law", lambda found: law_words(found.effect, found.law, found.where.joints)),
         ("score", "evidence.statistic", ".1f"),
-        ("beside its law", "law_misfit", ".0f", "%"),
-        ("alternatives", lambda found: " or ".join(found.answer_set)),
     )
 
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 
@@ -32,7 +31,6 @@ from cellapp.commands.discover.words import (
     gap_sentences,
     misfit_sentences,
     orientation_sentences,
-    picture_words,
     remainder_sentences,
     size_sentence,
     size_words,
@@ -143,7 +141,7 @@ def _meanings(arm: ArmDiscoveryResult) -> Iterator[Section]:
 
 def _pictures(name: str, arm: ArmDiscoveryResult) -> Iterator[Section]:
     shown, others = arm.pictures[:_MOST_PICTURES], [picture.title for picture in arm.pictures[_MOST_PICTURES:]]
-    drawn = [replace(picture_chart(name, picture), message=picture_words(picture)) for picture in shown]
+    drawn = [picture_chart(name, picture) for picture in shown]
     if drawn:
         more = f" Smaller ones are in the JSON: {'; '.join(dict.fromkeys(others))}." if others else ""
         about = (

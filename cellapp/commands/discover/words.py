@@ -15,8 +15,6 @@ _PLAY = re.compile(r"half_play(\d+)")
 _SURELY = 2.0
 """Standard errors below zero from which half play is called negative."""
 _TURN = 360.0
-_UNEVEN = 2.0
-"""Ratio of a curve's largest to smallest standard deviation from which both are named."""
 _NOTICEABLE_MISFIT = 0.1
 """Ratio of the displacement beside a law to that by the law, from which the law counts as not quite as expected: below
 a tenth it is hidden by the uncertainty of the masses alone."""
@@ -171,11 +169,6 @@ def description_sentences(arm: ArmDiscoveryResult) -> list[tuple[str, str]]:
     return sentences
 
 
-def picture_words(picture: Picture) -> str:
-    """State the size, the scatter, and for a curve over a whole turn its uncertainty and gaps in the data."""
-    return " ".join([size_sentence(picture), *_certainty_sentences(picture), *gap_sentences(picture)])
-
-
 def size_sentence(picture: Picture) -> str:
     """State the size of an effect and the scatter about it."""
     remaining = _rms([m - c for m, c in zip(picture.measured, picture.computed, strict=True)])
@@ -184,21 +177,6 @@ def size_sentence(picture: Picture) -> str:
         f"The effect is {_rms(picture.computed):.0f} {unit} rms at these readings, which scatter"
         f" {remaining:.0f} {unit} rms about it."
     )
-
-
-def _certainty_sentences(picture: Picture) -> list[str]:
-    """Say where a curve over a whole turn is least and most certain, if that differs."""
-    curve, unit = picture.curve, _unit(picture)
-    if curve is None or not _is_whole_turn(curve):
-        return []
-    points = list(zip(curve.band, curve.x, strict=True))
-    (low, best), (high, worst) = (pick(points, key=lambda point: point[0]) for pick in (min, max))
-    if high < _UNEVEN * low:
-        return []
-    return [
-        f"The curve is most certain at {best:.0f}° (standard deviation {low:.0f} {unit}) and least certain at"
-        f" {worst:.0f}° ({high:.0f} {unit})."
-    ]
 
 
 def gap_sentences(picture: Picture) -> list[str]:

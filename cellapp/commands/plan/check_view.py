@@ -201,8 +201,8 @@ def load_sentences(loads: Sequence[PlannedLoad] | None) -> list[str]:
 
 
 def design_tables(design: PlanDesignResult) -> list[Table]:
-    """Show candidates, errors beside random stops, observability, largest gaps; errors by number of stops."""
-    tables = [candidates_table(design), quality_table(design), indices_table(design), gaps_table(design)]
+    """Show candidates, errors beside random stops, observability; errors by number of stops."""
+    tables = [candidates_table(design), quality_table(design), indices_table(design)]
     return [*tables, *(by_stops_table(name, arm) for name, arm in design.arms.items() if arm.by_stops)]
 
 
@@ -271,17 +271,6 @@ def _indices(index: ObservabilityIndices) -> tuple[float | None, ...]:
     if index.o2 < _SINGULAR:
         return (None,) * 5
     return index.o1, index.o2, index.o3, index.o4, index.o5
-
-
-def gaps_table(design: PlanDesignResult) -> Table:
-    """Show the largest gap between stops in each joint's travelled range [deg]."""
-    joints = max((len(arm.largest_gap) for arm in design.arms.values()), default=0)
-    columns = columns_of("arm", *((f"q{joint + 1}", ".1f", "deg") for joint in range(joints)))
-    rows: list[tuple[Cell, ...]] = [
-        (name, *map(math.degrees, arm.largest_gap), *[None] * (joints - len(arm.largest_gap)))
-        for name, arm in design.arms.items()
-    ]
-    return Table("Largest gap of each joint", columns, tuple(rows))
 
 
 def by_stops_table(name: str, arm: ArmDesign) -> Table:

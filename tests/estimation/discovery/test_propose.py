@@ -198,8 +198,8 @@ def test_the_command(tied: Tied, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         assert (proposal["count"], proposal["written"], proposal["first_configuration"]) == (3, True, STOPS)
         assert [row["configuration"] for row in proposal["stops"]] == sorted(2 * [*range(STOPS, STOPS + 3)])
         said = " ".join(done.output.split())
-        assert said.count("backlash / unsettled_measurement") == 2
-        for words in ("3 proposed stops", "these stops would", f"stops {STOPS + 1} to {STOPS + 3}", "with --resume"):
+        assert said.count("backlash unsettled_measurement") == 2
+        for words in ("3 proposed stops", "these stops", f"stops {STOPS + 1} to {STOPS + 3}", "with --resume"):
             assert words in said
     finally:
         append_proposed_stops(run, tied[2].stops)
