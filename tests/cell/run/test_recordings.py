@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import re
 import sqlite3
-from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,6 +28,7 @@ from cellapp.cell.run.recordings import (
 )
 from cellapp.cell.run.recordings_csv import read_recordings
 from cellapp.ground.errors import InputError
+from tests.approved import assert_refused
 from tests.cell.run.small_runs import (
     Columns,
     joint_columns,
@@ -100,101 +101,23 @@ def refused(tmp_path: Path, joints: Columns, points: Columns, arm: str | None = 
     return str(caught.value)
 
 
-def _with(columns: Columns, name: str, row: int, value: object) -> Columns:
-    cells = list(columns[name])
-    cells[row] = value
-    return {**columns, name: cells}  # type: ignore[dict-item]
+def changed(column: np.ndarray, row: int, value: object) -> list[object]:
+    """The column with another cell."""
+    return [*column[:row], value, *column[row + 1 :]]
 
 
-BAD: dict[str, tuple[Callable[[Columns, Columns], tuple[Columns, Columns]], str]] = {
-    "swapped": (lambda j, p: (p, j), r"j\.csv:1: q1: the column is missing; this file has points: .*swapped"),
-    "degrees": (
-        lambda j, p: ({**j, "q1": np.degrees(j["q1"]), "q2": np.degrees(j["q2"])}, p),
-        r"j\.csv:\d+: q1: expected .* rad",
-    ),
-    "degrees, small": (
-        lambda j, p: ({"time_s": j["time_s"], **{f"q{k}": 9.0 * np.sin(3.0 * j["time_s"]) for k in (1, 2)}}, p),
-        r"j\.csv: q1: the joint rotates at .*degrees",
-    ),
-    "degrees a second": (
-        lambda j, p: ({**j, "qd1": np.degrees(j["qd1"]), "qd2": np.degrees(j["qd2"])}, p),
-        r"j\.csv: qd1: .*degrees a second",
-    ),
-    "millimetres": (
-        lambda j, p: (j, {"time_s": p["time_s"], **{n: 1e3 * p[n] for n in ("x_m", "y_m", "z_m")}}),
-        r"p\.csv:2: x_m: expected metres",
-    ),
-    "milliseconds": (
-        lambda j, p: (j, {**p, "time_s": 1e3 * p["time_s"]}),
-        r"p\.csv: time_s: the median step is 4; expected seconds.*milliseconds",
-    ),
-    "arm at rest": (
-        lambda j, p: ({**j, "q1": 0.0 * j["q1"], "q2": 0.0 * j["q2"]}, p),
-        r"j\.csv: q1\.\.: no joint moves",
-    ),
-    "SMR at rest": (
-        lambda j, p: (j, {**p, **{name: 0.0 * p[name] + 1.0 for name in ("x_m", "y_m", "z_m")}}),
-        r"p\.csv: x_m: the SMR does not move",
-    ),
-    "no number": (lambda j, p: (_with(j, "q2", 7, "fast"), p), r"j\.csv:9: q2: expected a finite number .* 'fast'"),
-    "nan": (lambda j, p: (j, _with(p, "y_m", 3, "nan")), r"p\.csv:5: y_m: the value is missing; give all"),
-    "nan of a joint": (lambda j, p: (_with(j, "q2", 3, "nan"), p), r"j\.csv:5: q2: the value is missing"),
-    "infinite": (lambda j, p: (_with(j, "time_s", 3, "inf"), p), r"j\.csv:5: time_s: expected a finite number"),
-    "empty": (lambda j, p: (_with(j, "q1", 4, ""), p), r"j\.csv:6: q1: the value is missing"),
-    "half a point": (lambda j, p: (j, _with(p, "z_m", 4, "")), r"p\.csv:6: z_m: the value is missing; give all"),
-    "sigma": (
-        lambda j, p: (j, {**p, "sigma_m": np.where(np.arange(len(p["x_m"])) == 2, -1e-5, 1e-5)}),
-        r"p\.csv:4: sigma_m: expected an uncertainty above 0",
-    ),
-    "quaternion": (
-        lambda j, p: (j, {**p, **{f"quat_{a}": np.full(len(p["x_m"]), 0.6) for a in "wxyz"}}),
-        r"p\.csv:2: quat_w: expected a quaternion of length 1, got 1\.2",
-    ),
-    "part of a quaternion": (
-        lambda j, p: (j, {**p, "quat_w": np.ones(len(p["x_m"]))}),
-        r"p\.csv:1: quat_x: the column is missing; give all",
-    ),
-    "too few joints": (
-        lambda j, p: ({name: j[name] for name in ("time_s", "q1")}, p),
-        r"j\.csv:1: q2: the column is missing; arm left has 2 joints",
-    ),
-    "too many joints": (lambda j, p: ({**j, "q3": j["q1"]}, p), r"j\.csv:1: q3: there are values, but arm left has 2"),
-    "too few joints of the other arm": (
-        lambda j, p: ({**j, "other_q1": j["q1"]}, p),
-        r"j\.csv:1: other_q2: the column is missing; arm right has 3 joints",
-    ),
-    "degrees of the other arm": (
-        lambda j, p: ({**j, **{f"other_q{k}": np.full(len(j["q1"]), 120.0) for k in (1, 2, 3)}}, p),
-        r"j\.csv:2: other_q1: expected .* rad .*got 120; degrees\?",
-    ),
-    "part of the other arm": (
-        lambda j, p: ({**j, **{f"other_q{k}": np.full(len(j["q1"]), [np.nan, 0.1][k < 3]) for k in (1, 2, 3)}}, p),
-        r"j\.csv:2: other_q3: the value is missing; give all joints of the other arm in a row, or none",
-    ),
-    "other name": (
-        lambda j, p: (j, {"time_of_day": p["time_s"], **{n: p[n] for n in ("x_m", "y_m", "z_m")}}),
-        r"p\.csv:1: time_s: the column is missing; is 'time_of_day' meant\?.* the file has time_of_day, x_m, y_m, z_m",
-    ),
-    "no rows": (lambda j, p: (j, {name: np.empty(0) for name in p}), r"p\.csv:1: there is a header row but no sample"),
-    "few rows": (lambda j, p: (j, {name: its[:5] for name, its in p.items()}), r"p\.csv: time_s: 5 rows are no"),
-    "constant clock": (lambda j, p: (j, {**p, "time_s": 0.0 * p["time_s"]}), r"p\.csv: time_s: most stamps"),
-    "split": (lambda j, p: (j, {**p, "split": ["test"] * len(p["x_m"])}), r"p\.csv:2: split: 'test' is no split"),  # type: ignore[dict-item]
-    "arm": (lambda j, p: ({**j, "arm": ["top"] * len(j["q1"])}, p), r"j\.csv:2: arm: 'top' is not in the profile"),  # type: ignore[dict-item]
-    "other recording": (
-        lambda j, p: (
-            {**j, "recording": ["a"] * len(j["q1"])},  # type: ignore[dict-item]
-            {**p, "recording": ["b"] * len(p["x_m"])},  # type: ignore[dict-item]
-        ),
-        r"j\.csv: recording 'a' of arm left has no points",
-    ),
-}
+def test_what_is_no_recording_is_refused_where_it_is_wrong_as_approved(tmp_path: Path) -> None:
+    """Lines say what is done to columns of the joints (j) and of the points (p), in words of numpy."""
 
+    def spoilt(*words: str) -> str:
+        files: dict[str, Any] = {"j": joint_columns(), "p": point_columns()}
+        if words == ("swapped",):
+            return refused(tmp_path, files["p"], files["j"])
+        for file, statement in zip(words[::2], words[1::2], strict=True):
+            exec(statement, {**vars(np), "changed": changed}, files[file])
+        return refused(tmp_path, files["j"], files["p"])
 
-@pytest.mark.parametrize("case", BAD)
-def test_what_is_no_recording_is_refused_where_it_is_wrong(case: str, tmp_path: Path) -> None:
-    spoil, said = BAD[case]
-    message = refused(tmp_path, *spoil(joint_columns(), point_columns()))
-    assert re.search(said, message), message
+    assert_refused(Path(__file__).parent / "approved" / "bad-recordings.txt", spoilt, tmp_path)
 
 
 def test_which_arm_must_be_clear(tmp_path: Path) -> None:
@@ -305,29 +228,18 @@ def test_degrees_millimetres_and_decimal_commas(
     np.testing.assert_allclose(rows, np.hstack([Q, P]), atol=2e-11)
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("", "is empty; expected a header row"),
-        ("q1,x,y,z\n1,2,3,4\n", "at least 3 rows"),
-        (text_of("1,2,3,4,5,6", Q, P), "there is no row of names above the first row of 6 numbers"),
-        (text_of("q1,q2,q4,x,y,z", Q, P), "without a gap"),
-        (text_of("a,b,c,x,y,z", Q, P), "expected columns such as q1"),
-        (text_of("q1,q2,q3,x,y,w", Q, P), "z: expected a column such as z_mm"),
-        (text_of("q1,q2,q3,x,px,z", Q, P), r"x_m: two columns seem to be it \(x, px\)"),
-        (text_of("q1,q2,q3,x,y,z,qw,qx,qy,qz,qx", Q, np.hstack([P, P, P[:, :2]])), "qx: the column is there twice"),
-        (text_of("q1_deg,q2_rad,q3,x,y,z", Q, P), "different units"),
-        (text_of("q1_mm,q2_mm,q3_mm,x,y,z", Q, P), "expected columns such as q1, .* the file has q1_mm"),
-        (text_of("q1,q2,q3,x_m,y_mm,z_m", Q, P), "columns x_m, y_mm, z_m have different units"),
-        (text_of("q1,q2,q3,x,y,z", Q, P) + "1,2,3\n", "the row has 3 cells, the header has 6"),
-        (text_of("q1,q2,q3,x,y,z", Q, P) + "1,2,nan,4,5,6\n", "file.csv:6: q3: expected a number, got 'nan'"),
-        (text_of("q1,q2,q3,x,y,z", Q, P) + "1,2,1e999,4,5,6\n", "expected a number"),
-        ("PK\x03\x04\x00\x00" * 9 + "\n1\n2\n3\n4", "not a text file"),
-    ],
-)
-def test_files_that_cannot_be_understood(tmp_path: Path, text: str, words: str) -> None:
-    with pytest.raises(InputError, match=words.replace("[", r"\[")):
-        read_recorded(written(tmp_path, text))
+def test_files_that_cannot_be_understood_are_refused_as_approved(tmp_path: Path) -> None:
+    """Lines are whole files; ROWS are four of six numbers, LONGER ones have eleven."""
+    rows = {"ROWS": text_of("", Q, P), "LONGER": text_of("", Q, np.hstack([P, P, P[:, :2]]))}
+
+    def refused(text: str) -> object:
+        for word, numbers in rows.items():
+            text = text.replace(word, numbers.removeprefix("\n"))
+        return read_recorded(written(tmp_path, text))
+
+    assert_refused(Path(__file__).parent / "approved" / "not-understood.txt", refused, tmp_path)
+    with pytest.raises(InputError, match="not a text file"):
+        refused("PK\x03\x04\x00\x00" * 9 + "\n1\n2\n3\n4")
 
 
 # -- Recordings as other programs write them ---------------------------------------------------------------------------
@@ -477,22 +389,11 @@ def test_what_is_not_clear_is_refused_where_it_is_wrong(case: str, tmp_path: Pat
         read(tmp_path, *texts)
 
 
-NEW_YEAR_2026 = 1767225600.0
-"""Its first second in UTC, since 1970."""
+def test_dates_and_times_of_day_are_seconds_as_approved() -> None:
+    """Of two numbers the month comes first, where it can be one."""
 
+    def seconds(text: str) -> str:
+        found = stamp_seconds(text)
+        return f"{found} s" if not found > 1e6 else str(datetime.fromtimestamp(found, UTC))
 
-@pytest.mark.parametrize(
-    ("text", "seconds"),
-    [
-        ("'01.01.2026 00:00:02,5", NEW_YEAR_2026 + 2.5),
-        ("1/2/26 1:02:03 pm", NEW_YEAR_2026 + 86400.0 + 13 * 3600.0 + 123.0),  # the month comes first ...
-        ("13/1/2026 12:00:00 AM", NEW_YEAR_2026 + 12 * 86400.0),  # ... where it can be one
-        ("12/1/2026 12:00:00 PM", NEW_YEAR_2026 + 334 * 86400.0 + 12 * 3600.0),
-        ("2026-01-01 01:00:00+01:00", NEW_YEAR_2026),
-        ("01:02:03", 3723.0),
-        ("1.1.2026 soon", np.nan),
-        ("31.2.2026 00:00:00", np.nan),
-    ],
-)
-def test_dates_and_times_of_day_are_seconds(text: str, seconds: float) -> None:
-    np.testing.assert_equal(stamp_seconds(text), seconds)
+    assert_refused(Path(__file__).parent / "approved" / "stamps.txt", seconds)

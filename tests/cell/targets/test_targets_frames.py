@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -76,42 +75,8 @@ def test_a_work_frame_by_points(path: Path) -> None:
     np.testing.assert_allclose(work_frame_pose(first.work_frame)[0][:3, 3], [2, 0, 1], atol=1e-15)
 
 
-CORNERS = ((0, 0, 0), (0.5, 0, 0), (0, 0.5, 0), (0, 0, 0.5))
-LINE = ((0, 0, 0), (1, 0, 0), (2, 0.001, 0))
-
-
-def points_text(measured: Sequence[Sequence[float]], nominal: Sequence[Sequence[float]] = CORNERS) -> str:
-    """A frame as block YAML."""
-    pairs = zip(nominal, measured, strict=True)
-    return "frames:\n  table:\n    points:\n" + "".join(
-        f"    - {{nominal: {list(n)}, measured: {list(m)}}}\n" for n, m in pairs
-    )
-
-
-@pytest.mark.parametrize(
-    ("frame", "says"),
-    [
-        (points_text(LINE[:2], LINE[:2]), "5: frame 'table'.points: expected at least 3 values, got a list of 2"),
-        (points_text(LINE, LINE), "4: frame 'table': the nominal points lie on one line"),
-        (points_text([(0, 0, 0)] * 4), "4: frame 'table': the measured points lie on one line"),
-        (
-            points_text([(1, 0, 0), (1.5, 0, 0), (1, 0.512, 0), (1, 0, 0.5)]),
-            "4: frame 'table': point 3 is 500.000 mm from point 1 by its nominal coordinates and 512.000 mm as"
-            " measured, 12.000 mm apart; expected at most 5 mm: check the order",
-        ),
-        (points_text([*CORNERS[:3], (0, 0, -0.5)]), "4: frame 'table': the measured points are the mirror image of th"),
-        (points_text([*CORNERS[:2], (0, 500, 0), CORNERS[3]]), "8: frame 'table'.points[2].measured[1]: 500 m is"),
-        (FRAME.replace("tracker", "middle"), "4: frame 'table': in: expected tracker, left, right, where its points"),
-        (FRAME.replace("table", "left"), "4: frame 'left': 'left' is the name of a frame that every cell has"),
-        (FRAME.replace(", xy: [0.5, 0, 0]", ""), "4: frame 'table'.xy: missing; give origin, x, xy, or points"),
-        (FRAME.replace("500 mm", "500 deg"), "4: frame 'table'.x[1]: 'deg' is not a unit of length"),
-        (FRAME.replace("xy: [0.5", "xy: [1"), "4: frame 'table': the nominal points lie on one line"),
-        ("frames: {table: 1}\n", "3: frame 'table': expected keys with values"),
-        (FRAME + "  table: {in: left}\n", "5: frames.table: duplicate key (first in line 4)"),
-    ],
-)
-def test_a_work_frame_that_is_refused(path: Path, frame: str, says: str) -> None:
-    assert f"targets.yaml:{says}" in refusal(path, frame + ONE)
+def test_work_frames_are_refused_as_approved(path: Path) -> None:
+    assert_refused(Path(__file__).parent / "approved" / "refused-frames.txt", lambda frame: refusal(path, frame + ONE))
 
 
 # -- rotations --------------------------------------------------------------------------------------------------------
