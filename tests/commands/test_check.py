@@ -34,7 +34,7 @@ from cellapp.ground.progress import Progress
 from cellapp.ground.results import CHECK, DISCOVER
 from drivers.trackers.simulated import SimulatedTracker
 from tests.cell.driving.test_check import SOME, away, swap_splits
-from tests.twin import PROFILES, finished_twin
+from tests.twin import PROFILES, altered, finished_twin
 from tests.twin import plant_of as opened_plant
 from tests.verbs import check_run, locate_run, opened_by, push_run
 
@@ -117,7 +117,7 @@ FRICTION = {"friction": [8.0] * 6, "load_friction": [0.1] * 6, "stiffness": [6e4
 )
 def test_what_a_calibration_left_unexplained_is_no_change(tmp_path: Path, hidden: dict[str, Any]) -> None:
     profile = finished_twin(80)
-    profile = profile.model_copy(update={"plan": profile.plan.model_copy(update={"method": "random"})})
+    profile = altered(profile, plan={"method": "random"})
     for name in profile.arms:
         profile = profile.model_copy(update={"plant": changed(profile, name, **hidden)})
     with new_planned_run(profile, tmp_path / "run") as run:
@@ -318,13 +318,10 @@ def test_another_plant_is_refused_for_arms_that_are_not_simulated(run: RunFile) 
 def test_a_probe_shows_a_change_that_positions_do_not(tmp_path: Path) -> None:
     """Joint 6 hardly moves an SMR near its axis; a 6-D probe on the flange shows that it turns."""
     twin = finished_twin(40)
-    assert twin.plant is not None
-    plant = twin.plant.model_copy(update={"effects": {}})
-    drawn = twin.plan.model_copy(update={"method": "random"})
     left = twin.arms["left"]
     smr = Smr.model_validate({**left.smr.model_dump(), "probe": {"rpy": (0.1, -0.2, 0.3), "sigma": 1e-4}})
-    alone = twin.model_copy(
-        update={"arms": {"left": left.model_copy(update={"smr": smr})}, "plant": plant, "plan": drawn}
+    alone = altered(
+        twin, arms={"left": left.model_copy(update={"smr": smr})}, plant={"effects": {}}, plan={"method": "random"}
     )
     with new_planned_run(alone, tmp_path / "run") as run:
         collect_run(run)

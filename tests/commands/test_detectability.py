@@ -30,7 +30,7 @@ from cellapp.ground.executors import Gathered, PoolWork, TimeLimit
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import JobToken, Notice, Progress
 from tests.program import app
-from tests.twin import whole_twin
+from tests.twin import altered, whole_twin
 from tests.verbs import plan_new_run
 
 
@@ -40,12 +40,11 @@ def twin(stops: int = 60) -> Profile:
     quarter = stops // 4
     splits = {"identify": quarter, "train": stops - 2 * quarter, "validate_": quarter, "pair_identify": quarter,
               "pair_validate": quarter}  # fmt: skip
-    return profile.model_copy(
-        update={
-            "plan": profile.plan.model_copy(update={"stops": stops, "reserve": 0, "method": "random"}),
-            "splits": profile.splits.model_copy(update=splits),
-            "discovery": profile.discovery.model_copy(update={"null_simulations": 20}),
-        }
+    return altered(
+        profile,
+        plan={"stops": stops, "reserve": 0, "method": "random"},
+        splits=splits,
+        discovery={"null_simulations": 20},
     )
 
 

@@ -38,7 +38,7 @@ from drivers.plant.sweep import recorder_of
 from tests.cell.targets.pairs import pair_targets, stops_with_room
 from tests.commands.emulated_cell import behind_bridge, emulated, patiently, stalled
 from tests.loopback import free_port, own_address, own_arms
-from tests.twin import PROFILES, small_twin, with_arm
+from tests.twin import PROFILES, altered, small_twin, with_arm
 from tests.verbs import push_run
 from tests.waiting import WAIT_S, within
 
@@ -68,7 +68,7 @@ def test_the_twin_over_the_wire_gives_the_readings_and_the_calibration_of_the_tw
     # the right one has an e-Series controller: 500 Hz, remote control, other dashboard
     e_series = load_profile(PROFILES / "ur10e-ur5e.yaml").arms["right"].type
     twin = with_arm(small_twin(STOPS), "right", type=e_series)
-    twin = twin.model_copy(update={"network": twin.network.model_copy(update={"kind": "none"})})
+    twin = altered(twin, network={"kind": "none"})
     plan, _ = make_stops(twin)
     direct, its, verified = collected(twin, tmp_path / "direct", plan)
     arms = {
@@ -191,14 +191,10 @@ ARM, RATE_HZ = "left", 200.0
 def served_cell() -> Profile:
     """The twin behind emulated devices."""
     twin = behind_bridge(small_twin(1, plan={"method": "random"}))
-    return twin.model_copy(
-        update={
-            "arms": {
-                name: arm.model_copy(update={"driver": UrSettings(host=HOSTS_OF_EMULATE_SWEEPS[name], watchdog_hz=2.0)})
-                for name, arm in twin.arms.items()
-            },
-            "collection": twin.collection.model_copy(update={"motion_rate": RATE_HZ}),
-        }
+    return altered(
+        twin,
+        arms={name: {"driver": UrSettings(host=HOSTS_OF_EMULATE_SWEEPS[name], watchdog_hz=2.0)} for name in twin.arms},
+        collection={"motion_rate": RATE_HZ},
     )
 
 

@@ -23,7 +23,7 @@ from cellapp.ground.results import CALIBRATE, COMPENSATE, DISCOVER, VERIFY
 from cellapp.interfaces.page.page import write_page
 from cellapp.interfaces.tui.keys import way_to, with_keys
 from cellapp.robot.model import CellModel
-from tests.twin import PROFILES, small_twin
+from tests.twin import PROFILES, altered, small_twin
 from tests.verbs import push_run, report_run
 
 OLD_RUN = Path(__file__).parents[1] / "fixtures" / "run-schema-2"
@@ -99,7 +99,7 @@ def test_something_comes_next_while_anything_is_undecided_failed_or_out_of_date(
             found = {
                 name: arm.model_copy(update={"verdict": "ambiguous"}) for name, arm in results.discover.arms.items()
             }
-            changed = results.model_copy(update={"discover": results.discover.model_copy(update={"arms": found})})
+            changed = altered(results, discover={"arms": found})
             monkeypatch.setattr("cellapp.commands.next_step.read_results", lambda run, stages: changed)
         elif change == "out of date":
             append_stage(run, COMPENSATE, results.compensate, basis_of(run).model_copy(update={"profile": "changed"}))

@@ -35,7 +35,7 @@ from cellapp.robot.kinematics.transforms import transform
 from cellapp.robot.model.nominal import nominal_arm
 from drivers.plant import OUTSIDE, REALISTIC
 from tests.approved import assert_approved, commands_of
-from tests.twin import PROFILES, small_twin
+from tests.twin import PROFILES, altered, small_twin
 
 STOPS, SEED = 36, 5
 ROWS = {"identify": 12, "train": 12, "validate_": 12, "pair_identify": 6, "pair_validate": 6}
@@ -44,12 +44,7 @@ ROWS = {"identify": 12, "train": 12, "validate_": 12, "pair_identify": 6, "pair_
 def small() -> Profile:
     """The twin with few stops, and few simulations to set the threshold from."""
     profile = small_twin(STOPS, plan={"method": "random"})
-    return profile.model_copy(
-        update={
-            "splits": profile.splits.model_copy(update=ROWS),
-            "discovery": profile.discovery.model_copy(update={"null_simulations": 20}),
-        }
-    )
+    return altered(profile, splits=ROWS, discovery={"null_simulations": 20})
 
 
 @pytest.fixture(scope="module")
@@ -459,8 +454,7 @@ def test_few_clean_arms_meet_no_target_and_many_do() -> None:
 def quick_twin(name: str = "twin") -> Profile:
     """A profile whose search sets its threshold from few simulations."""
     profile = load_profile(PROFILES / f"{name}.yaml")
-    discovery = profile.discovery.model_copy(update={"null_simulations": 20})
-    return profile.model_copy(update={"discovery": discovery})
+    return altered(profile, discovery={"null_simulations": 20})
 
 
 # -- conditions -------------------------------------------------------------------------------------------------------

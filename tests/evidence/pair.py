@@ -19,6 +19,7 @@ from cellapp.estimation.discovery.discover import discover_cell
 from cellapp.robot.kinematics.transforms import rotation_vectors, rotations_of
 from tests.evidence.shared.cells import TWIN, measured_plan, sampled_cell
 from tests.evidence.skeleton import Evidence, Limit, Share, Table
+from tests.twin import altered
 
 TITLE = "Two arms with probes"
 MOST_TIMES, LEAST, MOST = 1.2, 0.93, 0.97
@@ -32,7 +33,7 @@ def cases(asked: argparse.Namespace) -> dict[str, dict[str, Any]]:
 def one(case: dict[str, Any]) -> dict[str, Any]:
     """Learn one cell; compare the computed with the measured pose of the right flange seen from the left one."""
     profile = sampled_cell(load_profile(TWIN.with_name("twin-6d.yaml")), seed := case["seed"])
-    profile = profile.model_copy(update={"network": profile.network.model_copy(update={"kind": "none"})})
+    profile = altered(profile, network={"kind": "none"})
     readings = measured_plan(profile, plan_stops(profile), seed)
     models = discover_cell(profile, calibrate_readings(profile, readings).model, readings).model.arms
     another = {"seed": seed + 1000, "plan": profile.plan.model_copy(update={"stops": 100})}

@@ -19,6 +19,7 @@ from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.kinematics.transforms import Array, apply, register
 from tests.evidence.shared.cells import measured_plan, sampled_cell
 from tests.evidence.skeleton import ROOT, Evidence, Limit, Table
+from tests.twin import altered
 
 TITLE = "The paper's comparison"
 PROFILE = ROOT / "profiles" / "twin-paper.yaml"
@@ -70,7 +71,7 @@ def _moved(profile: Profile, seed: int) -> Profile:
     _, pitch, yaw = pose.rpy
     on_its_side = math.copysign(math.pi / 2.0, turn)
     moved = Pose(position=(c * x - s * y, s * x + c * y, z), rpy=(on_its_side, pitch, yaw + turn))
-    return profile.model_copy(update={"tracker": profile.tracker.model_copy(update={"pose": moved})})
+    return altered(profile, tracker={"pose": moved})
 
 
 def _at_other_station(arm: ArmCalibration, readings: Readings) -> dict[str, float]:

@@ -39,7 +39,7 @@ from cellapp.interfaces.page.page import write_page
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import CellModel
 from drivers.trackers.simulated import SimulatedTracker
-from tests.twin import PROFILES, plant_of, small_twin
+from tests.twin import PROFILES, plant_of, small_twin, with_arm
 from tests.verbs import Opened, collect_stops, locate_run, opened_by, push_run, report_run
 
 
@@ -203,11 +203,6 @@ def changed_plant(monkeypatch: pytest.MonkeyPatch, change: Callable[[Profile], P
     monkeypatch.setattr("cellapp.cell.driving.supervision.open_cell", opened)
 
 
-def with_left(profile: Profile, **changes: Any) -> Profile:
-    left = profile.arms["left"].model_copy(update=changes)
-    return profile.model_copy(update={"arms": {**profile.arms, "left": left}})
-
-
 def swap_splits(run: RunFile) -> None:
     """Let one reading of each arm validate that identified, and the other way round."""
     for name in run.profile.arms:
@@ -271,7 +266,9 @@ def test_a_moved_base_is_no_motion_of_the_tracker_and_its_model_not_used(
     run: RunFile, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     base = run.profile.arms["left"].base
-    changed_plant(monkeypatch, lambda profile: with_left(profile, base=away(base, (0.003, 0.0, 0.0), (0.0, 0.0, 0.0))))
+    changed_plant(
+        monkeypatch, lambda profile: with_arm(profile, "left", base=away(base, (0.003, 0.0, 0.0), (0.0, 0.0, 0.0)))
+    )
     found = locate_run(run)
     assert found.verdict == "not explained"
     (complaint,) = found.complaints()

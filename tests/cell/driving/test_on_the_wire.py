@@ -23,7 +23,7 @@ from tests.commands.emulated_cell import behind_bridge, patiently
 from tests.evidence.wire.moved_arms import STEP, Attack, collected, pushed
 from tests.evidence.wire.storm_cell import StormCell, emulated_cell
 from tests.loopback import free_port, own_arms
-from tests.twin import small_twin
+from tests.twin import altered, small_twin
 from tests.waiting import until
 
 pytestmark = pytest.mark.waits
@@ -40,8 +40,7 @@ def profile() -> Profile:
         name: arm.model_copy(update={"driver": UrSettings(host=HOSTS[name], watchdog_hz=2.0)})
         for name, arm in twin.arms.items()
     }
-    tracker = twin.tracker.model_copy(update={"averaging": AVERAGING_S})
-    return twin.model_copy(update={"arms": arms, "tracker": tracker})
+    return altered(twin, arms=arms, tracker={"averaging": AVERAGING_S})
 
 
 @pytest.fixture(scope="module")

@@ -28,7 +28,7 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Cancelled, JobToken
 from cellapp.robot.paths.joint_path import Sweep
-from tests.twin import PROFILES, small_twin, with_arms
+from tests.twin import PROFILES, altered, small_twin, with_arms
 
 STOPS = 24
 
@@ -173,8 +173,7 @@ def test_too_few_stops_are_told_and_the_rest_is_foreseen(tmp_path: Path) -> None
 
 def test_an_unknown_smr_offset_is_assumed_and_said(tmp_path: Path) -> None:
     profile = small_twin(STOPS, plan={"method": "random"})
-    smr = profile.arms["left"].smr.model_copy(update={"offset": "unknown"})
-    arms = {**profile.arms, "left": profile.arms["left"].model_copy(update={"smr": smr})}
+    arms = {**profile.arms, "left": altered(profile.arms["left"], smr={"offset": "unknown"})}
     with new_planned_run(profile.model_copy(update={"arms": arms}), tmp_path / "run") as run:
         result = forecast_run(run)
     assert any("smr.offset is unknown" in note for note in result.notes)
@@ -191,8 +190,7 @@ def test_what_a_sweep_tells_is_of_the_effects_that_the_plan_is_for():
     lively[:, 0] = 0.3
     told = {}
     for slugs in ((), ("transmission_error",), ("transmission_error", "backlash")):
-        plan = profile.plan.model_copy(update={"effects": slugs})
-        design = SweepDesign.of(profile.model_copy(update={"plan": plan}), "left")
+        design = SweepDesign.of(altered(profile, plan={"effects": slugs}), "left")
         before = design.before(q, np.ones_like(q))
         assert np.isfinite(before).all()
         gains = [
@@ -266,7 +264,7 @@ def three_arms() -> Profile:
 
 def seven_joints() -> Profile:
     profile = load_profile(PROFILES / "twin-foreign.yaml")
-    return profile.model_copy(update={"plan": profile.plan.model_copy(update={"stops": 20})})
+    return altered(profile, plan={"stops": 20})
 
 
 def without_offset() -> Profile:

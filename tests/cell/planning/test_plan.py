@@ -35,7 +35,7 @@ from cellapp.ground.progress import Cancelled, JobToken, Progress
 from drivers.plant.clearance import segment_distances
 from tests.approved import assert_refused
 from tests.cell.planning.planned_cells import same_stops, some_stops
-from tests.twin import small_twin, with_arms
+from tests.twin import altered, small_twin, with_arms
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +56,7 @@ def test_no_arm_stands_in_the_beam_to_the_other() -> None:
     profile = small_twin(15)
     assert profile.tracker.pose is not None
     pose = profile.tracker.pose.model_copy(update={"position": (0.0, 4.5, 0.6), "rpy": (0.0, 0.0, -math.pi / 2.0)})
-    profile = profile.model_copy(update={"tracker": profile.tracker.model_copy(update={"pose": pose})})
+    profile = altered(profile, tracker={"pose": pose})
     cell = cell_bodies(profile)
     at = {name: place(cell.arms[name], q) for name, q in plan_stops(profile).items()}
     for name, other in (("left", "right"), ("right", "left")):
@@ -82,8 +82,7 @@ def test_the_simulated_tracker_finds_every_smr_of_the_true_cell(plan: dict[str, 
 
 
 def behind_its_back(profile: Profile) -> Profile:
-    tracker = profile.tracker.model_copy(update={"azimuth": (math.pi - 0.3, math.pi + 0.3)})
-    return profile.model_copy(update={"tracker": tracker})
+    return altered(profile, tracker={"azimuth": (math.pi - 0.3, math.pi + 0.3)})
 
 
 def arms_cannot_turn_round(profile: Profile) -> Profile:
@@ -96,9 +95,7 @@ def arms_cannot_turn_round(profile: Profile) -> Profile:
         for name, arm in profile.arms.items()
     }
     x, y, z = profile.tracker.pose.position
-    pose = profile.tracker.pose.model_copy(update={"position": (-x, -y, z), "rpy": (0.0, 0.0, 0.0)})
-    tracker = profile.tracker.model_copy(update={"pose": pose})
-    return profile.model_copy(update={"tracker": tracker, "arms": arms})
+    return altered(profile, tracker={"pose": {"position": (-x, -y, z), "rpy": (0.0, 0.0, 0.0)}}, arms=arms)
 
 
 def looking_into_the_wrist(profile: Profile) -> Profile:
@@ -107,7 +104,7 @@ def looking_into_the_wrist(profile: Profile) -> Profile:
 
 
 def floor_too_high(profile: Profile) -> Profile:
-    return profile.model_copy(update={"plan": profile.plan.model_copy(update={"floor": 0.5})})
+    return altered(profile, plan={"floor": 0.5})
 
 
 @pytest.mark.parametrize(
@@ -168,9 +165,7 @@ def quick(stops: int, **plan: Any) -> Profile:
 
 
 def one_arm(profile: Profile) -> Profile:
-    assert profile.plant is not None
-    plant = profile.plant.model_copy(update={"effects": {}})
-    return profile.model_copy(update={"arms": {"left": profile.arms["left"]}, "plant": plant})
+    return altered(profile, arms={"left": profile.arms["left"]}, plant={"effects": {}})
 
 
 def test_the_choice_of_stops_says_how_far_it_is_and_every_part_ends() -> None:

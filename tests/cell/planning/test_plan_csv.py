@@ -15,7 +15,7 @@ from cellapp.ground.outputs import RENEWED
 from cellapp.ground.profile.schema import Payload
 from tests.approved import assert_refused
 from tests.cell.planning.planned_cells import same_stops, some_stops
-from tests.twin import small_twin, with_arm, with_arms
+from tests.twin import altered, small_twin, with_arm, with_arms
 
 PROFILE = with_arms(small_twin(4), limits=((-6.0, 6.0),) * 6)
 
@@ -98,8 +98,7 @@ def test_arms_of_different_joints_share_a_file(tmp_path: Path) -> None:
         legs=((), ()),
     )
     right = PROFILE.arms["right"]
-    kind = right.type.model_copy(update={"joints": right.type.joints[:4]})
-    four = right.model_copy(update={"limits": ((-6.0, 6.0),) * 4, "type": kind})
+    four = altered(right, limits=((-6.0, 6.0),) * 4, type={"joints": right.type.joints[:4]})
     profile = PROFILE.model_copy(update={"arms": {**PROFILE.arms, "right": four}})
     path = tmp_path / "plan.csv"
     write_plan_csv(short, path)

@@ -41,7 +41,7 @@ from tests.approved import assert_refused
 from tests.arms import OFF_AXIS, UR10, UR10_CENTERS, UR10_MASSES, at_station, true_geometry
 from tests.cell.programs.test_truth import FACTOR, Array, Cell, cell_of, corrected, errors, waypoint
 from tests.made_once import made_once
-from tests.twin import small_twin, with_arm
+from tests.twin import altered, small_twin, with_arm
 from tests.verbs import correct_run
 
 TCP = "set_tcp(p[0, 0, 0.1, 0, 0, 0])\n"
@@ -193,7 +193,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         twin = small_twin(
             30, plan={"method": "random"}, plant={"factory": FactoryErrors(length=1e-4, angle=1e-4), "effects": {}}
         )
-        twin = twin.model_copy(update={"network": twin.network.model_copy(update={"kind": "none"})})
+        twin = altered(twin, network={"kind": "none"})
         own, left = factory_calibration(build_plant(twin), "left"), twin.arms["left"]
         assert own is not None
         text = controller_file_text((own.rows - published_rows(left)).tolist(), own.checksum, ("a comment",))

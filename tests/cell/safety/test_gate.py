@@ -34,13 +34,12 @@ from cellapp.cell.safety.gate import (
 from cellapp.cell.safety.shapes import Cylinder, ObstacleBody, RoundedBox, Shape
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.sections import BoxObstacle, CapsuleObstacle, CylinderObstacle, Placement, SphereObstacle
 from cellapp.robot.kinematics.chain import nominal_geometry
 from cellapp.robot.kinematics.transforms import apply, rotation_from_vector, transform
 from drivers.plant.clearance import segment_distances
 from drivers.plant.config import TrackerConfig
 from drivers.plant.optics import why_hidden
-from tests.twin import small_twin
+from tests.twin import small_twin, with_arm, with_obstacles
 
 QUARTER = math.pi / 2.0
 
@@ -563,43 +562,19 @@ def test_a_larger_clearance_never_admits_more() -> None:
     assert all(not more or less for pair in pairwise(admitted) for less, more in zip(*pair))
 
 
-def with_obstacles(profile: Profile | None = None, **obstacles: Any) -> Profile:
-    return (profile or small_twin()).model_copy(update={"obstacles": obstacles})
+CROWD = """
+pillar: {shape: cylinder, radius: 0.1, length: 2.0, pose: {position: [0.7, 0.2, 0.6], rpy: [0.2, 0.0, 0.0]}}
+table: {shape: box, size: [3.0, 3.0, 0.1], pose: {position: [0.0, 0.0, -0.25]}}
+left_pedestal: {shape: cylinder, fixed_to: base, arm: left, radius: 0.09, length: 0.2, pose: {position: [0, 0, -0.1]}}
+lamp: {shape: sphere, radius: 0.15, pose: {position: [0.4, -0.6, 0.8]}}
+gripper: {shape: box, fixed_to: flange, arm: left, size: [0.2, 0.06, 0.05], pose: {position: [0.1, 0.0, 0.03]}}
+hose: {shape: capsule, fixed_to: flange, arm: right, radius: 0.02, length: 0.15, pose: {position: [0.0, -0.08, 0.0]}}
+"""
 
 
-def crowded() -> Profile:
+def crowded(more: str = "") -> Profile:
     """The twin cell with a pillar, a table with pedestals, and a gripper on the left arm."""
-    return with_obstacles(
-        small_twin(plan={"floor": -2.0, "clearance": 0.03}),
-        pillar=CylinderObstacle(
-            shape="cylinder", radius=0.1, length=2.0, pose=Placement(position=(0.7, 0.2, 0.6), rpy=(0.2, 0.0, 0.0))
-        ),
-        table=BoxObstacle(shape="box", size=(3.0, 3.0, 0.1), pose=Placement(position=(0.0, 0.0, -0.25))),
-        left_pedestal=CylinderObstacle(
-            shape="cylinder",
-            fixed_to="base",
-            arm="left",
-            radius=0.09,
-            length=0.2,
-            pose=Placement(position=(0.0, 0.0, -0.1)),
-        ),
-        lamp=SphereObstacle(shape="sphere", radius=0.15, pose=Placement(position=(0.4, -0.6, 0.8))),
-        gripper=BoxObstacle(
-            shape="box",
-            fixed_to="flange",
-            arm="left",
-            size=(0.2, 0.06, 0.05),
-            pose=Placement(position=(0.1, 0.0, 0.03)),
-        ),
-        hose=CapsuleObstacle(
-            shape="capsule",
-            fixed_to="flange",
-            arm="right",
-            radius=0.02,
-            length=0.15,
-            pose=Placement(position=(0.0, -0.08, 0.0)),
-        ),
-    )
+    return with_obstacles(CROWD + more, small_twin(plan={"floor": -2.0, "clearance": 0.03}))
 
 
 def random_stops(cell: CellBodies, count: int, seed: int) -> dict[str, np.ndarray]:
@@ -625,9 +600,7 @@ def test_obstacles_of_a_base_move_with_it() -> None:
     base = profile.arms["left"].base
     assert base is not None
     x, y, z = base.position
-    shifted = base.model_copy(update={"position": (x - 0.1, y, z)})
-    arms = {**profile.arms, "left": profile.arms["left"].model_copy(update={"base": shifted})}
-    there = cell_bodies(profile.model_copy(update={"arms": arms}))
+    there = cell_bodies(with_arm(profile, "left", base={"position": (x - 0.1, y, z)}))
     moved = {
         one.name: (other.pose[:3, 3] - one.pose[:3, 3]).tolist()
         for one, other in zip(here.obstacles, there.obstacles, strict=True)
@@ -638,10 +611,8 @@ def test_obstacles_of_a_base_move_with_it() -> None:
 
 def test_what_a_flange_carries_is_checked_against_everything() -> None:
     bare = cell_bodies(small_twin(plan={"floor": -2.0}))
-    long = BoxObstacle(
-        shape="box", fixed_to="flange", arm="left", size=(0.05, 0.05, 1.2), pose=Placement(position=(0.0, 0.0, 0.65))
-    )
-    armed = cell_bodies(with_obstacles(small_twin(plan={"floor": -2.0}), lance=long))
+    long = "lance: {shape: box, fixed_to: flange, arm: left, size: [0.05, 0.05, 1.2], pose: {position: [0, 0, 0.65]}}"
+    armed = cell_bodies(with_obstacles(long, small_twin(plan={"floor": -2.0})))
     q = random_stops(armed, 600, 8)
     clear, clear_bare = clear_stops(armed, q), clear_stops(bare, q)
     assert not np.any(clear & ~clear_bare)
@@ -683,15 +654,16 @@ def test_an_obstacle_in_the_beam_hides_the_smr() -> None:
 def test_obstacles_that_hold_an_arm_or_the_tracker_are_named() -> None:
     profile = small_twin()
     assert profile.tracker.pose is not None
-    inside = SphereObstacle(shape="sphere", radius=0.2, pose=Placement(position=profile.tracker.pose.position))
+    x, y, z = profile.tracker.pose.position
     with pytest.raises(InputError, match=r"profile .*: obstacles\.cupboard\.pose: the tracker's head, tracker\.pose"):
-        cell_bodies(with_obstacles(cupboard=inside))
+        cell_bodies(with_obstacles(f"cupboard: {{shape: sphere, radius: 0.2, pose: {{position: [{x}, {y}, {z}]}}}}"))
     base = profile.arms["right"].base
     assert base is not None
     x, y, z = base.position
-    above = SphereObstacle(shape="sphere", radius=0.2, pose=Placement(position=(x, y, z + 0.7)))
     with pytest.raises(InputError, match=r"obstacles\.balloon\.pose: arm right at home reaches \d+ mm into it"):
-        cell_bodies(with_obstacles(balloon=above))
+        cell_bodies(
+            with_obstacles(f"balloon: {{shape: sphere, radius: 0.2, pose: {{position: [{x}, {y}, {z + 0.7}]}}}}")
+        )
     assert home_positions(profile).keys() == {"left", "right"}
 
 

@@ -15,7 +15,7 @@ from cellapp.cell.safety.gate import CellBodies, clear_stops, refuse_motion, ref
 from cellapp.cell.safety.shapes import load_mesh
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.sections import BoxObstacle, CylinderObstacle, MeshObstacle, Placement
+from cellapp.ground.profile.sections import MeshObstacle, Placement
 from tests.approved import assert_refused
 from tests.cell.safety.collision_check import CollisionCheck
 from tests.cell.safety.test_gate import crowded, random_segments
@@ -108,22 +108,14 @@ def test_a_mesh_in_the_beam_hides_the_smr(folder: Path) -> None:
 
 def of_all_shapes(folder: Path) -> Profile:
     """The crowded twin with a mesh in the cell, one on a flange and one on a base."""
-    ring, box = str(folder / "ring.stl"), str(folder / "box.stl")
-    more = {
-        "ring": MeshObstacle(shape="mesh", file=ring, pose=Placement(position=(0.45, -0.8, 0.8), rpy=(0.5, 0.3, 0.0))),
-        "tool": MeshObstacle(
-            shape="mesh", file=box, scale=0.0003, fixed_to="flange", arm="right", pose=Placement(position=(0, 0, 0.09))
-        ),
-        "cabinet": MeshObstacle(
-            shape="mesh", file=box, scale=0.001, fixed_to="base", arm="right", pose=Placement(position=(-0.5, 0.3, 0.3))
-        ),
-        "shelf": BoxObstacle(shape="box", fixed_to="base", arm="left", size=(0.3, 0.8, 0.05),
-                             pose=Placement(position=(-0.6, 0.0, 0.7))),
-        "drum": CylinderObstacle(shape="cylinder", fixed_to="flange", arm="left", radius=0.05, length=0.12,
-                                 pose=Placement(position=(0.0, 0.0, 0.1))),
-    }  # fmt: skip
-    profile = crowded()
-    return profile.model_copy(update={"obstacles": {**profile.obstacles, **more}})
+    ring, box = (f"shape: mesh, file: {folder}/{name}.stl" for name in ("ring", "box"))
+    return crowded(f"""
+ring: {{{ring}, pose: {{position: [0.45, -0.8, 0.8], rpy: [0.5, 0.3, 0.0]}}}}
+tool: {{{box}, scale: 0.0003, fixed_to: flange, arm: right, pose: {{position: [0, 0, 0.09]}}}}
+cabinet: {{{box}, scale: 0.001, fixed_to: base, arm: right, pose: {{position: [-0.5, 0.3, 0.3]}}}}
+shelf: {{shape: box, fixed_to: base, arm: left, size: [0.3, 0.8, 0.05], pose: {{position: [-0.6, 0.0, 0.7]}}}}
+drum: {{shape: cylinder, fixed_to: flange, arm: left, radius: 0.05, length: 0.12, pose: {{position: [0, 0, 0.1]}}}}
+""")
 
 
 Motion = tuple[dict[str, np.ndarray], dict[str, np.ndarray]]

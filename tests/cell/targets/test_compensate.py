@@ -23,7 +23,7 @@ from cellapp.robot.effects import EFFECTS, EffectTerm
 from cellapp.robot.kinematics.transforms import rotation_zyx, zyx_angles
 from cellapp.robot.model import ArmModel, CellModel
 from tests.postures import far_from_singular
-from tests.twin import PROFILES, small_twin, with_arms
+from tests.twin import PROFILES, altered, small_twin, with_arms
 
 TARGETS = load_targets(PROFILES / "targets" / "twin.yaml", small_twin())
 
@@ -97,7 +97,7 @@ def test_out_of_reach_out_of_sight_and_unsafe(run: RunFile, model: CellModel) ->
     hidden = [command for command in refused[:-1] if not command.refusal]
     assert len(hidden) >= 3, "production needs no tracker"
     assert not any(command.visible for command in hidden)
-    high = run.profile.model_copy(update={"plan": run.profile.plan.model_copy(update={"floor": 0.05})})
+    high = altered(run.profile, plan={"floor": 0.05})
     refusals = [command.refusal for command in compensate(high, model, TARGETS)]
     assert any("the floor" in refusal for refusal in refusals)
     entry = json.loads(command_record(refused[-1]).model_dump_json())
@@ -112,8 +112,7 @@ def test_out_of_reach_out_of_sight_and_unsafe(run: RunFile, model: CellModel) ->
 def test_whole_turns_bring_a_joint_into_its_limits(run: RunFile, model: CellModel, middle: float) -> None:
     """The last joint may only stand beyond half a turn: the same postures, a turn further on."""
     limits = tuple([(-2 * math.pi, 2 * math.pi)] * 5 + [(middle - 0.5 * math.pi, middle + 0.5 * math.pi)])
-    left = run.profile.arms["left"].model_copy(update={"limits": limits})
-    profile = run.profile.model_copy(update={"arms": {**run.profile.arms, "left": left}})
+    profile = altered(run.profile, arms={"left": {"limits": limits}})
     reached = 0
     for command in compensate(profile, model, TARGETS[:10]):
         if command.q_compensated is not None and command.q_nominal is not None:
@@ -255,18 +254,13 @@ def pedestal_coupling(model: CellModel, name: str) -> EffectTerm:
 def test_if_one_arm_cannot_both_are_refused(run: RunFile, model: CellModel) -> None:
     target = together(model, *safe_pairs(run, model, 1)[0])
     assert target.partner is not None
-    far = target.model_copy(update={"partner": target.partner.model_copy(update={"position": (4.0, 0.0, 0.0)})})
+    far = altered(target, partner={"position": (4.0, 0.0, 0.0)})
     one, other = compensate(run.profile, model, [far])
     assert one.refusal == other.refusal
     assert one.refusal.startswith("arm right: out of reach")
     assert one.q_compensated is None
     assert other.q_compensated is None
-    collision = target.model_copy(
-        update={
-            "name": "meet",
-            "partner": target.partner.model_copy(update={"position": (0.0, 0.0, 0.01), "rpy": None}),
-        }
-    )
+    collision = altered(target, name="meet", partner={"position": (0.0, 0.0, 0.01), "rpy": None})
     meeting, _ = compensate(run.profile, model, [collision])
     assert "arms left and right" in meeting.refusal or "arm right" in meeting.refusal
 

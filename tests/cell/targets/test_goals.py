@@ -35,7 +35,7 @@ from cellapp.ground.profile.sections import Smr
 from cellapp.interfaces.page.page import certificate_page
 from cellapp.robot.kinematics.transforms import Array, apply, transform
 from cellapp.robot.model import CellModel
-from tests.twin import HIDDEN, PROFILES, finished_twin, small_twin
+from tests.twin import HIDDEN, PROFILES, altered, finished_twin, small_twin
 from tests.verbs import certificate_run, export_as_run, push_run
 
 PROFILE = small_twin()
@@ -86,11 +86,10 @@ def probed(stops: int) -> Profile:
     profile = finished_twin(stops)
     left = profile.arms["left"]
     smr = Smr.model_validate({**left.smr.model_dump(), "probe": {"rpy": (0.0, 0.0, 0.3), "sigma": 4e-5}})
-    tolerances = profile.tolerances.model_copy(update={"orientation": TOLERANCE})
     arms = {"left": left.model_copy(update={"smr": smr})}
-    assert profile.plant is not None
-    plant = profile.plant.model_copy(update={"effects": {"left": HIDDEN["left"]}})
-    return profile.model_copy(update={"arms": arms, "tolerances": tolerances, "plant": plant})
+    return altered(
+        profile, arms=arms, tolerances={"orientation": TOLERANCE}, plant={"effects": {"left": HIDDEN["left"]}}
+    )
 
 
 @pytest.fixture(scope="module")
@@ -166,9 +165,7 @@ def test_a_stored_measurement_is_not_one_of_another_tolerance(run: RunFile, veri
 def test_an_error_beyond_its_tolerance_is_a_complaint(verified: VerifyResult) -> None:
     first = verified.targets[0]
     assert first.orientation is not None
-    beyond = first.model_copy(
-        update={"orientation": first.orientation.model_copy(update={"final_mrad": 0.9, "verdict": "not decided"})}
-    )
+    beyond = altered(first, orientation={"final_mrad": 0.9, "verdict": "not decided"})
     result = verified.model_copy(update={"targets": (beyond, *verified.targets[1:])})
     (complaint,) = result.complaints()
     assert f"{first.name} (0.900 mrad, tolerance 0.5 mrad)" in complaint

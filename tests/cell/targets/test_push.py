@@ -38,7 +38,7 @@ from cellapp.robot.model import CellModel
 from drivers.plant import Clearance
 from tests.cell.planning.planned_cells import three_arms
 from tests.cell.targets.pairs import pair_targets, stops_with_room
-from tests.twin import PROFILES, plant_of, small_twin
+from tests.twin import PROFILES, altered, plant_of, small_twin
 from tests.verbs import push_run
 
 ALL = load_targets(PROFILES / "targets" / "twin.yaml", small_twin())
@@ -211,10 +211,9 @@ TARGETS_OF_PUSH_CELLS = load_targets(PROFILES / "targets" / "twin.yaml", small_t
 def exact(profile: Profile) -> tuple[Profile, CellModel]:
     """The profile's cell without any error of its geometry, and the nominal model of it."""
     assert profile.plant is not None
-    assert profile.tracker.pose is not None
-    zero = profile.plant.geometry.model_copy(update=dict.fromkeys(type(profile.plant.geometry).model_fields, 0.0))
-    plant = profile.plant.model_copy(update={"geometry": zero, "effects": {}})
-    profile = profile.model_copy(update={"plant": plant})
+    profile = altered(
+        profile, plant={"geometry": dict.fromkeys(type(profile.plant.geometry).model_fields, 0.0), "effects": {}}
+    )
     return profile, CellModel({name: nominal_model(profile, name) for name in profile.arms})
 
 

@@ -43,7 +43,7 @@ from drivers.trackers.protocol import TargetLost
 from tests.cell.targets.pairs import pair_targets, stops_with_room
 from tests.crossed_beam import crossed_beam
 from tests.robot.paths.test_paths import distances_m
-from tests.twin import PROFILES, plant_of, small_twin
+from tests.twin import PROFILES, altered, plant_of, small_twin
 from tests.verbs import push_run
 
 ALL = load_targets(PROFILES / "targets" / "twin.yaml", small_twin())
@@ -82,10 +82,8 @@ def test_rounds_fall_to_what_tracker_and_repeatability_allow(
 ) -> None:
     """3 to 4 m away the tracker scatters by 17 um across the beam in each of two directions, and a correction has the
     noise of two measurements; joints that repeat to 20 urad scatter the SMR by as much again."""
-    assert run.profile.plant is not None
-    plant = run.profile.plant.model_copy(update={"repeatability": repeatability})
     beside = [wanted_beside(command, np.array([1.0, -1.0, 1.0])) for command in commands]
-    found = push(run.profile.model_copy(update={"plant": plant}), geometric, beside, verify=True, rounds=5)
+    found = push(altered(run.profile, plant={"repeatability": repeatability}), geometric, beside, verify=True, rounds=5)
     assert [target.note for target in found.targets] == [""] * len(TARGETS)
     for name in ("left", "right"):
         own = [target for target in found.targets if target.arm == name]

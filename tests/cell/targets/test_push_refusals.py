@@ -36,7 +36,7 @@ from cellapp.robot.model import CellModel
 from drivers.arms.protocol import ArmIdentity
 from drivers.arms.simulated import SimulatedArm
 from tests.arms import UR5
-from tests.twin import PROFILES, plant_of, small_twin
+from tests.twin import PROFILES, altered, plant_of, small_twin
 from tests.verbs import export_as_run, import_new_run, push_run
 
 ALL = load_targets(PROFILES / "targets" / "twin.yaml", small_twin())
@@ -89,7 +89,7 @@ def test_another_smr_mount_is_refused(
     run: RunFile, model: CellModel, commands: tuple[Command, ...], cells: list[Any], changes: dict[str, Any], words: str
 ) -> None:
     left = run.profile.arms["left"]
-    edited = left.model_copy(update={"smr": left.smr.model_copy(update=changes)})
+    edited = altered(left, smr=changes)
     profile = run.profile.model_copy(update={"arms": {**run.profile.arms, "left": edited}})
     with pytest.raises(InputError, match=f"arm left: {words}"):
         push(profile, model, commands, verify=True)

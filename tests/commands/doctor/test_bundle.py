@@ -25,7 +25,7 @@ from drivers.trackers.bridge_settings import BridgeSettings
 from tests.approved import assert_refused
 from tests.commands.emulated_cell import quiet_work
 from tests.loopback import own_address
-from tests.twin import PROFILES, small_twin
+from tests.twin import PROFILES, altered, small_twin
 
 TOKEN = "s3cret-token-of-sixteen"
 PASSWORD = "hunter2hunter2"
@@ -42,7 +42,7 @@ def cell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Profile:
     monkeypatch.setenv("KEY_PASSPHRASE", PASSWORD)
     driver = BridgeSettings(url="socket://127.0.0.1:50960", token_file=str(file))
     twin = small_twin()
-    return twin.model_copy(update={"tracker": twin.tracker.model_copy(update={"driver": driver}), "name": "bundled"})
+    return altered(twin, tracker={"driver": driver}, name="bundled")
 
 
 def unpacked(data: bytes) -> dict[str, str]:

@@ -16,6 +16,7 @@ from cellapp.robot.model.nominal import nominal_arm
 from tests.arms import OFF_AXIS, UR10, at_station
 from tests.evidence.shared.estimates import merged_values
 from tests.series import Array, Series, series, twin
+from tests.twin import altered
 
 STOPS = 150
 
@@ -124,11 +125,9 @@ def test_points_on_one_line_and_the_same_stop_again_give_no_model():
 
 def test_a_parameter_set_of_another_arm_is_refused_before_anything_moves():
     profile = twin()
-    five = profile.arms["left"].type.model_copy(update={"joints": profile.arms["left"].type.joints[:5]})
-    arms = {"left": profile.arms["left"].model_copy(update={"type": five})}
-    paper = profile.calibration.model_copy(update={"parameter_set": "paper"})
+    arms = {"left": altered(profile.arms["left"], type={"joints": profile.arms["left"].type.joints[:5]})}
     with pytest.raises(InputError, match=r"arm 'left': calibration\.parameter_set: .* use 'auto'"):
-        OnlineFit(profile.model_copy(update={"arms": arms, "calibration": paper}), "left", np.zeros((3, 5)))
+        OnlineFit(altered(profile, arms=arms, calibration={"parameter_set": "paper"}), "left", np.zeros((3, 5)))
 
 
 def test_steps_that_do_not_end_leave_no_model_and_nothing_is_said_about_a_reading(readings, monkeypatch):

@@ -40,6 +40,7 @@ from tests.evidence.shared.cells import TWIN, measured_plan
 from tests.evidence.shared.estimates import merged_values
 from tests.evidence.shared.series import load_entrant, sample_rows
 from tests.series import twin
+from tests.twin import altered
 
 SIGMA_M, SIGMA_RAD = 3e-5, 8e-5
 PROBE = np.array([0.4, -1.2, 2.0])
@@ -185,7 +186,7 @@ def test_a_real_arm_in_six_dimensions():
 def six():
     """The twin with two probes, without networks, and its readings."""
     profile = load_profile(TWIN.with_name("twin-6d.yaml"))
-    profile = profile.model_copy(update={"network": profile.network.model_copy(update={"kind": "none"})})
+    profile = altered(profile, network={"kind": "none"})
     readings = measured_plan(profile, plan_stops(profile), 0)
     return profile, {
         name: replace(own, time_s=30.0 * np.arange(float(len(own))), sequence=np.arange(float(len(own))))

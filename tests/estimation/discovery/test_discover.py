@@ -42,6 +42,7 @@ from tests.cell.run.small_runs import import_csv
 from tests.estimation.discovery.problems import calibrated_and_searched
 from tests.evidence.shared.series import load_entrant, sample_rows
 from tests.series import twin
+from tests.twin import altered
 
 ROOT = Path(__file__).parents[3]
 STIFFNESS = [9.0e4, 6.0e4, 3.5e4, 1.2e4, 1.2e4, 1.2e4]
@@ -53,15 +54,13 @@ ECCENTRIC = {"joints": [1], "eccentricity": [2.0e-6], "radius": [0.025], "phase"
 
 def without_network(profile):
     """The profile without residual networks: discovery's findings do not depend on them, and training takes long."""
-    return profile.model_copy(update={"network": profile.network.model_copy(update={"kind": "none"})})
+    return altered(profile, network={"kind": "none"})
 
 
 def measured_run(folder, plan, effects, seed=7, noise_seed=0):
     """A run of a twin with ``effects`` by arm, measured in one go by the plant."""
     profile = load_profile(ROOT / "profiles" / "twin.yaml")
-    assert profile.plant is not None
-    settings = profile.plant.model_copy(update={"effects": effects, "seed": seed})
-    profile = without_network(profile.model_copy(update={"plant": settings}))
+    profile = without_network(altered(profile, plant={"effects": effects, "seed": seed}))
     plant, rng = build_plant(profile), np.random.default_rng(noise_seed)
 
     def fill(run):
@@ -362,7 +361,7 @@ def both():
     geometry, q, true, rng = turned_arm(180, 1)
     readings = readings_of(geometry, q, true, rng)
     profile = twin()
-    profile = profile.model_copy(update={"discovery": profile.discovery.model_copy(update={"null_simulations": 100})})
+    profile = altered(profile, discovery={"null_simulations": 100})
     found = {}
     for name, its in (("both", readings), ("points", replace(readings, quaternion_M=None, sigma_rad=None))):
         arm, _ = calibrate_arm(profile, "left", its)

@@ -35,7 +35,7 @@ from cellapp.robot.effects import ActsOn, EffectColumn
 from drivers.no_driver import NoDriver
 from tests.estimation.discovery.problems import PLAIN, calibrated_and_searched, problem, proposed
 from tests.program import app
-from tests.twin import small_twin, with_arms
+from tests.twin import altered, small_twin, with_arms
 
 STOPS = 90
 PROPOSED = 20
@@ -48,9 +48,7 @@ LITTLE = Effort(sampled=20, kept=50, candidates=480)
 
 def a_profile(effects: Mapping[str, Any]) -> Profile:
     profile = small_twin(STOPS, plant={"effects": effects, "seed": 5})
-    splits = profile.splits.model_copy(update={"identify": 45, "train": 25, "validate_": 20})
-    network = profile.network.model_copy(update={"kind": "none"})
-    return profile.model_copy(update={"splits": splits, "network": network})
+    return altered(profile, splits={"identify": 45, "train": 25, "validate_": 20}, network={"kind": "none"})
 
 
 def measured_run(folder: Path, effects: Mapping[str, Any], plan: dict[str, np.ndarray], *, tied: bool) -> RunFile:

@@ -38,15 +38,14 @@ from drivers.plant import Plant
 from drivers.trackers.simulated import SimulatedTracker
 from tests.cell.planning.planned_cells import one_arm, seven_joints, three_arms
 from tests.crossed_beam import crossed_beam
-from tests.twin import plant_of, small_twin
+from tests.twin import altered, plant_of, small_twin
 
 REPEATABILITY_RAD = 5e-5
 
 
 def cell_of(profile: Profile, **plant: Any) -> Profile:
     """The cell without hidden effects, and with other keys of its plant."""
-    assert profile.plant is not None
-    return profile.model_copy(update={"plant": profile.plant.model_copy(update={"effects": {}, **plant})})
+    return altered(profile, plant={"effects": {}, **plant})
 
 
 def task_of(profile: Profile, *tests: IsoTest, cycles: int = 2, aligned: bool = False, **changes: Any) -> IsoTask:
@@ -237,18 +236,17 @@ def five_joints() -> Profile:
     profile = one_arm()
     left = profile.arms["left"]
     capsules = tuple(one for one in left.type.capsules if one.frame <= 5)
-    kind = left.type.model_copy(update={"joints": left.type.joints[:5], "capsules": capsules})
     assert left.home is not None
-    return profile.model_copy(update={"arms": {"left": left.model_copy(update={"type": kind, "home": left.home[:5]})}})
+    return altered(
+        profile, arms={"left": {"type": {"joints": left.type.joints[:5], "capsules": capsules}, "home": left.home[:5]}}
+    )
 
 
 def test_the_drift_of_a_base_is_found() -> None:
     """A base that moves along its axis by 0.1 mm in ten minutes."""
     profile = cell_of(one_arm(), noise=False)
-    assert profile.plant is not None
     drift = {"shift": [0.0, 0.0, 1e-4], "turn": [0.0, 0.0, 0.0], "law": "linear", "time": 600.0}
-    plant = profile.plant.model_copy(update={"effects": {"left": {"base_drift": drift}}})
-    task = task_of(profile.model_copy(update={"plant": plant}), "drift", drift_s=600.0)
+    task = task_of(altered(profile, plant={"effects": {"left": {"base_drift": drift}}}), "drift", drift_s=600.0)
     findings, _ = driven(task)
     found = results(task, findings)["left"].tests["nominal"].drift
     assert found is not None

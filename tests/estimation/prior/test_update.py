@@ -34,6 +34,7 @@ from cellapp.robot.kinematics.chain import parameter_names, smr_positions
 from cellapp.robot.kinematics.transforms import rotation_vectors
 from tests.cell.run.small_runs import import_csv
 from tests.estimation.prior.conftest import ELSEWHERE, SimulatedArm, earlier_of
+from tests.twin import altered
 
 TOOL = np.array([-0.03, 0.05, 0.11])
 
@@ -191,12 +192,7 @@ ROOT = Path(__file__).parents[3]
 
 def profile_of(name: str, identify: int) -> Profile:
     profile = load_profile(ROOT / "profiles" / f"{name}.yaml")
-    return profile.model_copy(
-        update={
-            "splits": profile.splits.model_copy(update={"identify": identify}),
-            "network": profile.network.model_copy(update={"kind": "none"}),
-        }
-    )
+    return altered(profile, splits={"identify": identify}, network={"kind": "none"})
 
 
 def imported(folder: Path, name: str, first: int, every: int, count: int, identify: int) -> Path:
