@@ -45,14 +45,15 @@ from tests.drivers.arms.emulated_ur_cell import (
     SERIALS,
     SETTLE_S,
     SPEED,
-    UNHURRIED,
     WATCHDOG_HZ,
     configs,
     driven,
     drivers_of,
     emulated_cell,
     expectation,
+    go,
     repair,
+    set_out,
     warnings_about,
 )
 from tests.latency import attempts
@@ -309,15 +310,13 @@ def test_disconnecting_restores_the_state_before_connecting(unconnected: Emulato
 def test_disconnecting_while_it_moves_stops_it(unconnected: EmulatorProcess) -> None:
     with driven("left") as arm:
         arm.connect()
-        arm.start_move(FAR, UNHURRIED, ACCELERATION)
-        until(lambda: abs(arm.state().q[0]) > 0.1, "the arm moves")
+        set_out(arm)
         arm.disconnect()
         status = unconnected.control("left", "status")
         assert not status["moving"]
         assert np.abs(np.array(status["q"]) - FAR).max() > 0.3
         arm.connect()
-        arm.start_move(HOME, SPEED, ACCELERATION)
-        arm.wait_settled(PATIENT_S)
+        go(arm, HOME)
 
 
 def test_another_controller_at_the_same_address_is_refused() -> None:

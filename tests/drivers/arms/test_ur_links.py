@@ -23,6 +23,7 @@ from tests.drivers.arms.emulated_ur_cell import (
     SPEED,
     Episode,
     Heard,
+    go,
     of_each_arm,
     pause,
     repair,
@@ -53,8 +54,7 @@ def links_that_answer_are_confirmed_quickly(emulator: EmulatorProcess, arm: UrAr
     arm.start_move(AWAY, SPEED * 0.2, ACCELERATION)
     arm.confirm()  # of an arm that moves, too
     arm.wait_settled(PATIENT_S)
-    arm.start_move(HOME, SPEED, ACCELERATION)
-    arm.wait_settled(PATIENT_S)
+    go(arm, HOME)
     emulator.control(arm.name, "drop", "dashboard", "fin")  # it is opened again at once
     arm.confirm()
     arm.stop()
@@ -155,8 +155,7 @@ def live_is_fresh_and_knows_a_motion(emulator: EmulatorProcess, arm: UrArm) -> N
     assert arm.live().moving
     arm.wait_settled(PATIENT_S)
     until(lambda: not arm.live().moving, "it rests")
-    arm.start_move(HOME, SPEED, ACCELERATION)
-    arm.wait_settled(PATIENT_S)
+    go(arm, HOME)
     arm.disconnect()
     live = arm.live()
     assert (live.age_s, live.moving) == (math.inf, False)

@@ -46,6 +46,7 @@ from tests.drivers.arms.emulated_ur_cell import (
     assert_stays_at_rest,
     at_rest,
     driven,
+    go,
     of_each_arm,
     received_stop_s,
     repair,
@@ -83,11 +84,6 @@ def start(emulator: EmulatorProcess, arm: UrArm, speed: np.ndarray = UNHURRIED) 
     goal = FAR if np.abs(here - FAR).max() > np.abs(here - HOME).max() else HOME
     arm.start_move(goal, speed, ACCELERATION)
     until(lambda: float(np.abs(arm.state().q - here).max()) > 0.1, "the arm moves")
-
-
-def go(arm: UrArm, q: np.ndarray) -> None:
-    arm.start_move(q, SPEED, ACCELERATION)
-    np.testing.assert_allclose(arm.wait_settled(PATIENT_S).q, q, atol=1e-6)
 
 
 # -- brake ------------------------------------------------------------------------------------------------------------
@@ -162,8 +158,7 @@ def brake_while_it_starts(emulator: EmulatorProcess, arm: UrArm, after_s: float)
             arm.brake()
 
     def move() -> None:
-        arm.start_move(goal, SPEED, ACCELERATION)
-        arm.wait_settled(PATIENT_S)
+        go(arm, goal)
 
     stopper = threading.Timer(after_s, brake)
     stopper.start()

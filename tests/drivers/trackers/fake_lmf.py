@@ -245,6 +245,8 @@ class ReadOnlyValue(Net):
 class Value(Net):
     """A writable value object of one type, optionally with a range."""
 
+    _value: Any
+
     def __init__(
         self,
         value: Any,

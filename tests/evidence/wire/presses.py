@@ -13,6 +13,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -159,7 +160,7 @@ class _Trial:
 
     def left(self) -> list[dict[str, Any]]:
         """Each way to leave, and what the run says of it."""
-        found = {how: self._each(lambda leave=leave: _left(leave)) for how, leave in LEAVES.items()}
+        found = {how: self._each(partial(_left, leave)) for how, leave in LEAVES.items()}
         rows = [_row(how, [one.stopped_ms for one in its], self._worst_ms) for how, its in found.items()]
         wrongly = [one.wrongly_recorded for its in found.values() for one in its]
         return [*rows, _row("leaving not recorded as that", wrongly, 0.0, unit="")]
