@@ -410,14 +410,6 @@ def test_positions_from_before_a_motion_do_not_end_it(delayed: Any) -> None:
     assert answer["ok"]["q"] == list(AWAY)
 
 
-def test_an_arm_that_does_not_reach_its_goal_is_reported(delayed: Any) -> None:
-    _, monitor = delayed
-    told, answer = monitor(1.0)
-    assert (answer["error"], answer["id"]) == ("failed", 7)
-    assert "cut short: it rests 20.05 deg from its goal" in answer["text"]
-    assert told == {"fault": "failed", "text": answer["text"]}
-
-
 def test_a_stop_by_the_application_is_not_a_fault_even_if_its_message_comes_late(delayed: Any) -> None:
     client, monitor = delayed
     client.playing = False
@@ -441,14 +433,6 @@ def test_a_stop_by_something_else_is_a_fault(delayed: Any, moves_at_once: bool) 
         told, answer = monitor(0.4)
     assert "its program ended; possible: it was stopped on the pendant" in answer["text"]
     assert told["fault"] == "failed"
-
-
-def test_a_program_that_was_stopped_in_local_control_says_so(delayed: Any) -> None:
-    client, monitor = delayed
-    client.playing, client.local = False, True
-    answer = monitor(0.4)[-1]
-    assert (answer["id"], answer["error"]) == (7, "local")
-    assert "switch it to Remote" in answer["text"]
 
 
 def test_an_application_that_falls_silent_stops_its_arm(delayed: Any) -> None:

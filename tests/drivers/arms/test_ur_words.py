@@ -124,7 +124,7 @@ def by_hand(client: DelayedClient) -> None:
 WORKER: dict[str, tuple[Callable[[DelayedClient], None], type[ArmError], str]] = {
     "stopped on the pendant": (pendant, ArmError, "its program ended; possible: it was stopped on the pendant"),
     "local control": (local, NotInRemoteControl, "the pendant is in local control"),
-    "cut short": (cut_short, ArmError, "its motion was cut short"),
+    "cut short": (cut_short, ArmError, "its motion was cut short: it rests 20.05 deg from its goal"),
     "no power": (power, ArmError, "robot mode POWER_OFF, needed is RUNNING; power the arm on"),
     "guided by hand": (by_hand, ArmError, "robot mode BACKDRIVE, needed is RUNNING; it is guided by hand"),
 }

@@ -26,7 +26,8 @@ from cellapp.robot.effects import EFFECTS, EffectContext, Linear, MeasurementCon
 from cellapp.robot.effects.effect import displacement
 from cellapp.robot.kinematics.chain import nominal_geometry, smr_positions
 from cellapp.robot.kinematics.statics import Bodies
-from tests.estimation.motion.simulated import UR10, Arm, corners, record, sweep, true_arm
+from tests.arms import UR10
+from tests.estimation.motion.simulated import Arm, corners, record, sweep, true_arm
 from tests.interfaces.plugins.installed import EXAMPLE, add_distribution, installed
 from tests.robot.effects.cell import context_of
 

@@ -169,12 +169,6 @@ def test_of_every_law(slug, claim):
         claim(slug, law)
 
 
-@pytest.mark.parametrize("slug", [slug for slug in EFFECTS if slug != "unknown"])
-def test_a_law_of_another_version_is_refused(slug):
-    with pytest.raises(ValueError, match=f"effect {slug} has no law 'of tomorrow'"):
-        EFFECTS[slug].law("of tomorrow", EFFECTS[slug].laws(CONTEXT)[0].constants)
-
-
 def test_the_independent_chain_agrees_with_the_arm():
     for row in range(3):
         walked = chain(CONTEXT, row)
