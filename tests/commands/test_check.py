@@ -34,6 +34,7 @@ from cellapp.ground.progress import Progress
 from cellapp.ground.results import CHECK, DISCOVER
 from drivers.trackers.simulated import SimulatedTracker
 from tests.cell.driving.test_check import SOME, away, swap_splits
+from tests.sure import sure
 from tests.twin import PROFILES, altered, finished_twin
 from tests.twin import plant_of as opened_plant
 from tests.verbs import check_run, locate_run, opened_by, push_run
@@ -61,15 +62,13 @@ def checked_folder(finished_run: Path, tmp_path_factory: pytest.TempPathFactory)
 def arm_changed(checked_folder: Path, tmp_path: Path) -> Iterator[tuple[RunFile, CheckResult]]:
     """A copy of that run, and its check."""
     with RunFile.open(Path(shutil.copytree(checked_folder, tmp_path / "changed")), write=True) as opened:
-        found = read_results(opened).check
-        assert found is not None
+        found = sure(read_results(opened).check)
         yield opened, found
 
 
 def changed(profile: Profile, arm: str, **effects: Any) -> Plant:
     """The hidden physics of a profile with further effects of one arm."""
-    plant = profile.plant
-    assert plant is not None
+    plant = sure(profile.plant)
     return plant.model_copy(update={"effects": {**plant.effects, arm: {**plant.effects.get(arm, {}), **effects}}})
 
 
@@ -80,8 +79,7 @@ def other_zero(profile: Profile, arm: str = "left", joint: int = 3, rad: float =
 
 
 def kicked_tracker(profile: Profile) -> Plant:
-    plant = profile.plant
-    assert plant is not None
+    plant = sure(profile.plant)
     kicked = away(profile.tracker.pose, (0.02, -0.03, 0.0), (0.002, 0.0, 0.01))
     return plant.model_copy(update={"tracker_pose": kicked})
 
@@ -136,16 +134,14 @@ def test_an_unchanged_cell_is_valid_within_ten_minutes(run: RunFile) -> None:
     found = check_run(run)
     assert (found.verdict, found.complaints(), found.next_step) == ("valid", [], "")
     assert found.sure_after == len(found.stops) <= found.planned == 20
-    assert found.seconds is not None
-    assert found.seconds / len(found.stops) * found.planned < TEN_MINUTES_S
+    assert sure(found.seconds) / len(found.stops) * found.planned < TEN_MINUTES_S
     assert set(found.arms) == {"left", "right"}
     assert all(set(stop.points) == {"left", "right"} for stop in found.stops)
     assert max(point.error_mm for stop in found.stops for point in stop.points.values()) < 0.15
     stages = read_stages(run)
     assert (stages.stale_model(), run_overview(run).stale) == ("", "")
     assert CheckResult.from_json(stages.current[CHECK].text, "") == found == read_results(run).check
-    basis = stages.current[CHECK].basis
-    assert basis is not None
+    basis = sure(stages.current[CHECK].basis)
     assert list(basis.stages) == [DISCOVER]
 
 
@@ -309,8 +305,7 @@ def test_what_cannot_be_checked_is_refused_before_anything_moves(run: RunFile, t
 def test_another_plant_is_refused_for_arms_that_are_not_simulated(run: RunFile) -> None:
     from cellapp.commands.check.run import _with_plant
 
-    plant = run.profile.plant
-    assert plant is not None
+    plant = sure(run.profile.plant)
     with pytest.raises(InputError, match="--simulated-plant changes a simulated cell"):
         _with_plant(load_profile(PROFILES / "ur10-ur5.yaml"), plant)
 

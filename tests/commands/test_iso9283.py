@@ -29,6 +29,7 @@ from cellapp.ground.progress import Progress
 from cellapp.ground.results import ISO9283
 from tests.cell.planning.planned_cells import one_arm
 from tests.interfaces.cli.conftest import exit_code
+from tests.sure import sure
 from tests.twin import altered, small_twin
 
 
@@ -70,8 +71,7 @@ def test_a_calibrated_run_is_tested_as_found_and_as_left(finished_copy: Path) ->
     assert max(one.accuracy.value_mm for one in pair.vector["calibrated"]) < 0.1
     assert {one.characteristic for one in result.judgements} == {"pose_accuracy", "pose_repeatability", "cooperative"}
     assert all("calibrated commands, 3 of 30 cycles" in one.source for one in result.judgements)
-    assert result.conditions is not None
-    assert result.conditions.commands == ("nominal", "calibrated")
+    assert sure(result.conditions).commands == ("nominal", "calibrated")
     titles = [table.title for table in iso9283_tables(result)]
     assert titles[0] == "Characteristics against their tolerances"
     assert "Pose accuracy AP and repeatability RP [mm]" in titles

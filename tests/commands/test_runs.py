@@ -48,6 +48,7 @@ from tests.cell.run.small_runs import SPOILED, add_stop, collected_run, planned_
 from tests.commands.measured_runs import Truth, cell, measured_run, set_month
 from tests.interfaces.page.runs import without_devices
 from tests.program import app
+from tests.sure import sure
 from tests.twin import small_twin
 
 NEVER_WAITS_S = 5.0
@@ -257,8 +258,7 @@ def test_every_value_is_in_the_tables(two_runs: tuple[Path, Path]) -> None:
 
 def test_effects_in_one_run_only_and_in_both(finished_run: Path, finished_copy: Path) -> None:
     with RunFile.open(finished_copy, write=True) as run:
-        found = read_results(run).discover
-        assert found is not None
+        found = sure(read_results(run).discover)
         (backlash, *rest) = found.arms["right"].accepted
         changed = {
             name: value.model_copy(update={"value": 1.5 * value.value}) for name, value in backlash.parameters.items()
@@ -272,8 +272,7 @@ def test_effects_in_one_run_only_and_in_both(finished_run: Path, finished_copy: 
     twins = [value for value in result.arms["right"] if value.of.startswith(f"{backlash.title} (")]
     assert twins
     for value in twins:
-        assert value.a is not None
-        assert value.difference == pytest.approx(0.5 * value.a)
+        assert value.difference == pytest.approx(0.5 * sure(value.a))
     said = "\n".join(comparison_sentences(result))
     assert "is in a only" in said
     assert f"{backlash.title} (" in said

@@ -19,6 +19,7 @@ from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.kinematics.transforms import Array, apply, register
 from tests.evidence.shared.cells import measured_plan, sampled_cell
 from tests.evidence.skeleton import ROOT, Evidence, Limit, Table
+from tests.sure import sure
 from tests.twin import altered
 
 TITLE = "The paper's comparison"
@@ -63,8 +64,7 @@ def one(case: dict[str, Any]) -> dict[str, Any]:
 
 def _moved(profile: Profile, seed: int) -> Profile:
     """Return the same cell with the tracker moved to one side and laid on its side."""
-    pose = profile.tracker.pose
-    assert pose is not None
+    pose = sure(profile.tracker.pose)
     turn = _STATIONS[seed % 2]
     x, y, z = pose.position
     c, s = math.cos(turn), math.sin(turn)

@@ -46,6 +46,7 @@ from drivers.plant import Plant
 from tests.evidence.shared.cells import TWIN
 from tests.evidence.shared.target_samples import sample_hidden, sample_pairs, sample_targets
 from tests.evidence.skeleton import Evidence, Limit, Table
+from tests.sure import sure
 from tests.verbs import Opened, collect_by, locate_run, opened_by
 
 _FLOOR_SEED = 0xF100
@@ -134,9 +135,8 @@ def _kept(plant: Plant) -> Opened:
 def _locate(run: RunFile, bench: _Bench) -> LocateVerdict:
     """Move the tracker and locate it again; the new station is known as well as one measured by pacing."""
     pose, rng = bench.profile.tracker.pose, np.random.default_rng([bench.seed, _STATION_SEED])
-    assert pose is not None
     rotated = transform(rotation_z(rng.choice([-1.0, 1.0]) * rng.uniform(*_ROTATION)), np.zeros(3))
-    T_C_M = rotated @ pose_matrix(pose)
+    T_C_M = rotated @ pose_matrix(sure(pose))
     bench.plant.move_tracker(T_C_M)
     paced = T_C_M[:3, 3] + _PACED_M * rng.standard_normal(3)
     yaw, pitch, roll = np.array(zyx_angles(T_C_M[:3, :3])) + _PACED_RAD * rng.standard_normal(3)

@@ -52,6 +52,7 @@ from tests.handbook.declarations import with_declarations
 from tests.handbook.page_pictures import PICTURES
 from tests.interfaces.plugins.installed import EXAMPLE, REGISTRIES, add_example, installed
 from tests.program import app
+from tests.sure import sure
 from tests.twin import PROFILES, whole_twin
 
 README = Path(__file__).parents[2] / "README.md"
@@ -386,8 +387,7 @@ def test_the_tables_of_a_run_file_are_those_that_are_made() -> None:
             as_reading = described["`reading`"] if "as `reading`" in described[f"`{table}`"] else ""
             words = re.findall(r"`(\w+)`", as_reading + described[f"`{table}`"])
             assert set(columns) <= set(words), table
-    listed = re.search(r"names in `stage` are ([^.]+)\.", chapter_text("files"))
-    assert listed is not None
+    listed = sure(re.search(r"names in `stage` are ([^.]+)\.", chapter_text("files")))
     assert tuple(listed[1].replace("\n", " ").split(", ")) == STAGE_NAMES
 
 

@@ -30,6 +30,7 @@ from cellapp.interfaces.tui.screens import SCREENS
 from tests.handbook.chapters import blocks
 from tests.handbook.screen_pictures import write_screens
 from tests.program import app
+from tests.sure import sure
 from tests.twin import PROFILES
 
 # -- What the chapter about Python says that mistakes are answered with. ``test_commands`` runs its examples -----------
@@ -137,8 +138,7 @@ def test_the_commands_of_the_check_find_what_the_page_says(
     monkeypatch.chdir(tmp_path)
     shutil.copytree(finished_run, "logs/my-run")
     with RunFile.open(Path("logs/my-run")) as run:
-        assert run.profile.plant is not None
-        path = changed_profile(tmp_path / "profiles", run.profile.plant)
+        path = changed_profile(tmp_path / "profiles", sure(run.profile.plant))
     ends = []
     for line in (line for line in "".join(blocks("check", "sh")).splitlines() if " check" in line):
         program, *arguments = shlex.split(line.replace("changed.yaml", str(path)))

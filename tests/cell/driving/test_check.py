@@ -39,6 +39,7 @@ from cellapp.interfaces.page.page import write_page
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import CellModel
 from drivers.trackers.simulated import SimulatedTracker
+from tests.sure import sure
 from tests.twin import PROFILES, plant_of, small_twin, with_arm
 from tests.verbs import Opened, collect_stops, locate_run, opened_by, push_run, report_run
 
@@ -169,9 +170,8 @@ SOME = (*TARGETS[:6], *TARGETS[20:26])
 
 def away(pose: Pose | None, by: tuple[float, float, float], rotation: tuple[float, float, float]) -> Pose:
     """A pose moved by ``by`` [m], and turned by ``rotation`` [rad] of roll, pitch and yaw."""
-    assert pose is not None
-    x, y, z = (a + b for a, b in zip(pose.position, by, strict=True))
-    roll, pitch, yaw = (a + b for a, b in zip(pose.rpy, rotation, strict=True))
+    x, y, z = (a + b for a, b in zip(sure(pose).position, by, strict=True))
+    roll, pitch, yaw = (a + b for a, b in zip(sure(pose).rpy, rotation, strict=True))
     return Pose(position=(x, y, z), rpy=(roll, pitch, yaw))
 
 
@@ -217,16 +217,14 @@ def test_four_points_find_the_station_within_its_stated_uncertainty(moved_run: t
     assert (found.verdict, found.moved, found.complaints()) == ("located", True, [])
     assert found.by_arm == {"left": 2, "right": 2}
     assert found.shift_mm == pytest.approx(500.4, abs=0.1)
-    truth = found.simulated_pose
-    assert truth is not None
+    truth = sure(found.simulated_pose)
     np.testing.assert_allclose(found.tracker_pose.position, truth.position, atol=0.3e-3)
     assert found.points[0].found_off_mm > 10.0
     assert found.points[-1].found_off_mm < 1.0
     assert found.degrees_of_freedom == 6
     assert 0.0 < found.uncertainty_mm < 0.02
     model = CellModel.load(run.folder / CALIBRATION_FILE)
-    assert model.T_M_M0 is not None
-    np.testing.assert_allclose(model.T_M_M0, found.T_new_old)
+    np.testing.assert_allclose(sure(model.T_M_M0), found.T_new_old)
     table, *_ = location_tables(found)
     assert len(table.rows) == 4
     assert location_sentences(found)[0].startswith("the tracker was moved 500.")
@@ -241,8 +239,7 @@ def test_targets_are_met_from_the_new_station_as_before(moved_run: tuple[RunFile
     stages = read_stages(run)
     assert stages.stale_model() == ""
     assert stages.in_force == stages.current[LOCATE]
-    basis = stages.current[VERIFY].basis
-    assert basis is not None
+    basis = sure(stages.current[VERIFY].basis)
     assert list(basis.stages) == [LOCATE]
     assert run_overview(run).next_verb == "report"
     assert "Station of the tracker" in Path(report_run(run, write_page).page).read_text("utf-8")

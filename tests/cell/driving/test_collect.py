@@ -29,6 +29,7 @@ from drivers.arms.simulated import SimulatedArm
 from drivers.trackers.simulated import SimulatedTracker
 from tests.evidence.campaigning.campaign import Bench, Campaign, make_bench, run_campaign
 from tests.evidence.campaigning.faults import KINDS, sample_faults
+from tests.sure import sure
 from tests.twin import PROFILES, altered, plant_of, small_twin
 
 STOPS = 12
@@ -106,8 +107,7 @@ class Watched:
 
     @property
     def plant(self) -> Any:
-        assert self.cell is not None
-        return plant_of(self.cell)
+        return plant_of(sure(self.cell))
 
 
 @pytest.fixture

@@ -29,6 +29,7 @@ from cellapp.ground.progress import Cancelled, JobToken, MotionBegun, Progress
 from drivers.arms.simulated import SimulatedArm
 from drivers.clock import RealClock
 from tests.cell.planning.planned_cells import drivable_stops
+from tests.sure import sure
 from tests.twin import small_twin
 from tests.verbs import collect_by
 
@@ -99,8 +100,7 @@ def arrived_by_the_planned_step(run: RunFile, stops: int = STOPS) -> None:
     for name, sign in (("left", 1.0), ("right", -1.0)):
         readings = run.readings(name)
         assert len(readings) == stops
-        assert readings.step is not None
-        np.testing.assert_allclose(readings.step, np.tile(sign * STEP, (stops, 1)), atol=1e-9)
+        np.testing.assert_allclose(sure(readings.step), np.tile(sign * STEP, (stops, 1)), atol=1e-9)
         np.testing.assert_array_equal(readings.approach, np.tile(np.sign(sign * STEP), (stops, 1)))
 
 

@@ -23,6 +23,7 @@ from cellapp.ground.control import JobControl, Stopped
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile.sections import Plan
 from cellapp.ground.progress import Progress, SweepLive
+from tests.sure import sure
 from tests.twin import altered, small_twin
 
 STOPS = 2
@@ -56,8 +57,7 @@ def test_every_sample_of_a_planned_sweep_is_seen_clear_and_slow(plan: str, reque
         result = plan_result(run)
     cell = cell_bodies(profile)
     assert len(stops) == STOPS
-    assert result.sweeps is not None
-    assert sum(its.n for its in result.sweeps.values()) == len(sweeps) > len(stops)
+    assert sum(its.n for its in sure(result.sweeps).values()) == len(sweeps) > len(stops)
     assert "sweeps about its stops" in str(PLAN.view(result).parts)
     swings = [sweep.beside for sweep in sweeps if sweep.beside is not None]
     assert bool(swings) == (plan == "swinging")

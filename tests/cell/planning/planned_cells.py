@@ -12,6 +12,7 @@ from cellapp.cell.planning.planned_stops import Configuration, PlannedStops, Rou
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies, refuse_motion
 from cellapp.ground.profile import Profile
+from tests.sure import sure
 from tests.twin import altered, small_twin, with_arm
 
 
@@ -109,9 +110,8 @@ def seven_joints(stops: int = 12, **plan: Any) -> Profile:
     left = profile.arms["left"]
     turntable = left.type.joints[0].model_copy(update={"d": 0.0, "alpha": 0.0, "mass": 0.0})
     capsules = tuple(one.model_copy(update={"frame": one.frame + 1}) for one in left.type.capsules)
-    assert left.home is not None
     kind = {"joints": (turntable, *left.type.joints), "capsules": capsules}
-    return with_arm(profile, "left", type=kind, home=(0.0, *left.home))
+    return with_arm(profile, "left", type=kind, home=(0.0, *sure(left.home)))
 
 
 def refusals(

@@ -21,6 +21,7 @@ from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import BoxObstacle, Placement
 from cellapp.robot.kinematics.chain import nominal_geometry
 from cellapp.robot.kinematics.transforms import transform
+from tests.sure import sure
 from tests.twin import PROFILES, altered, small_twin, with_arms
 
 COUNT = 400
@@ -81,8 +82,7 @@ def test_every_candidate_can_be_measured(which: str) -> None:
     assert visible(cell, name, pool.q).all()
     assert clear_alone(cell, placed).all()
     assert len(np.unique(pool.q, axis=0)) == COUNT
-    assert cell.field is not None
-    np.testing.assert_allclose(pool.incidence, sight_of(cell.field.T_C_M, placed).incidence, atol=1e-7)
+    np.testing.assert_allclose(pool.incidence, sight_of(sure(cell.field).T_C_M, placed).incidence, atol=1e-7)
     assert pool.sampled - sum(pool.rejected.values()) >= COUNT
 
 

@@ -28,6 +28,7 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Cancelled, JobToken
 from cellapp.robot.paths.joint_path import Sweep
+from tests.sure import sure
 from tests.twin import PROFILES, altered, small_twin, with_arms
 
 STOPS = 24
@@ -138,9 +139,7 @@ def test_what_geometry_can_follow_is_invisible_and_backlash_is_not(forecast: Pla
         assert "payload does not vary" in effects["payload_compliance"].reason
         backlash = effects["backlash"]
         assert backlash.visible
-        assert backlash.smallest_seen_rms_mm is not None
-        assert backlash.with_scatter_rms_mm is not None
-        assert 0.0 < backlash.smallest_seen_rms_mm < backlash.with_scatter_rms_mm
+        assert 0.0 < sure(backlash.smallest_seen_rms_mm) < sure(backlash.with_scatter_rms_mm)
         assert {"half_play1", "half_play2"} & set(backlash.smallest_seen)
 
 
@@ -158,9 +157,7 @@ def test_more_stops_show_smaller_effects(forecast: PlanForecastResult, planned: 
             next(one.smallest_seen_rms_mm for one in source.effects if one.effect == "joint_compliance")
             for source in (forecast.arms[name], arm)
         ]
-        assert sizes[0] is not None
-        assert sizes[1] is not None
-        assert sizes[1] < sizes[0]
+        assert sure(sizes[1]) < sure(sizes[0])
 
 
 def test_too_few_stops_are_told_and_the_rest_is_foreseen(tmp_path: Path) -> None:

@@ -35,6 +35,7 @@ from cellapp.ground.progress import Cancelled, JobToken, Progress
 from drivers.plant.clearance import segment_distances
 from tests.approved import assert_refused
 from tests.cell.planning.planned_cells import same_stops, some_stops
+from tests.sure import sure
 from tests.twin import altered, small_twin, with_arms
 
 
@@ -87,14 +88,13 @@ def behind_its_back(profile: Profile) -> Profile:
 
 def arms_cannot_turn_round(profile: Profile) -> Profile:
     """The arms may move a little about a stop that looks at where the tracker was; it stands behind them now."""
-    assert profile.tracker.pose is not None
     arms = {
         name: arm.model_copy(
             update={"limits": tuple((q - 0.2, q + 0.2) for q in plan_stops(profile)[name][0].tolist())}
         )
         for name, arm in profile.arms.items()
     }
-    x, y, z = profile.tracker.pose.position
+    x, y, z = sure(profile.tracker.pose).position
     return altered(profile, tracker={"pose": {"position": (-x, -y, z), "rpy": (0.0, 0.0, 0.0)}}, arms=arms)
 
 
@@ -127,8 +127,7 @@ def test_where_nothing_can_be_seen_planning_ends_in_words(
 
 def test_an_unsafe_home_and_arms_too_close_are_told() -> None:
     profile = small_twin(3)
-    home = profile.arms["right"].home
-    assert home is not None
+    home = sure(profile.arms["right"].home)
     down = (*home[:1], math.radians(40.0), *home[2:])
     arms = {**profile.arms, "right": profile.arms["right"].model_copy(update={"home": down})}
     with pytest.raises(InputError, match=r"stop 1 of 3 not found .* arm right: .* the floor"):

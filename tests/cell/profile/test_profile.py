@@ -15,6 +15,7 @@ from cellapp.cell.profile.loader import explained
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile.sections import Traceability
 from tests.approved import assert_refused
+from tests.sure import sure
 
 PROFILES = Path(__file__).parents[3] / "profiles"
 SHIPPED = sorted(PROFILES.glob("*.yaml"))
@@ -178,8 +179,7 @@ def test_short_forms_of_numbers(twin: Path) -> None:
     edit(twin, "[9.0e4, 6.0e4, 3.5e4, 1.2e4, 1.2e4, 1.2e4]", "[9.0e4, .inf, 1e5, 2E+4, .5e5, -1e-3]")
     profile = load_profile(twin)
     assert profile.calibration.tolerance == 1e-9
-    assert profile.plant is not None
-    stiffness = profile.plant.effects["left"]["joint_compliance"]["stiffness"]
+    stiffness = sure(profile.plant).effects["left"]["joint_compliance"]["stiffness"]
     assert stiffness == [9.0e4, math.inf, 1e5, 2e4, 0.5e5, -1e-3]
     assert profile_from_json(profile_to_json(profile)) == profile
 

@@ -41,6 +41,7 @@ from tests.approved import assert_refused
 from tests.arms import OFF_AXIS, UR10, UR10_CENTERS, UR10_MASSES, at_station, true_geometry
 from tests.cell.programs.test_truth import FACTOR, Array, Cell, cell_of, corrected, errors, waypoint
 from tests.made_once import made_once
+from tests.sure import sure
 from tests.twin import altered, small_twin, with_arm
 from tests.verbs import correct_run
 
@@ -254,8 +255,7 @@ def test_the_report_compares_published_factory_and_identified_rows(folder: Path)
     with RunFile.open(folder) as run:
         assert all(one.dh_rows is not None for one in recorded_controllers(run).values())
         section = controllers_section(run, read_report_data(run))
-    assert section is not None
-    table = section.parts[0]
+    table = sure(section).parts[0]
     assert isinstance(table, Table)
     mean = {(row[0], row[1]): row[2] for row in table.rows}
     for arm in ("left", "right"):

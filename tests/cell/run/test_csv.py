@@ -28,6 +28,7 @@ from cellapp.robot.kinematics.transforms import apply, invert, transform
 from tests.approved import assert_refused
 from tests.cell.run.small_runs import Rows, assert_same, import_csv, read_readings_csv, two_arms, written
 from tests.cell.run.test_measured_again import change, left_alone
+from tests.sure import sure
 from tests.verbs import import_new_run
 
 ROOT = Path(__file__).parents[3]
@@ -126,8 +127,7 @@ def test_a_covariance_is_six_numbers_and_positive_definite(path: Path) -> None:
     askew = "5.0e-9,4.9995e-9,0,5.0e-9,0,1e-12"
     write(path, f"0,left,1,2,3,4,5,{good}", "1,left,1,2,3,4,5,,,,,,", f"2,left,1,2,3,4,5,{askew}", header=header)
     readings, _ = read_readings_csv(path, JOINTS)
-    covariance = readings["left"].covariance_M
-    assert covariance is not None
+    covariance = sure(readings["left"].covariance_M)
     np.testing.assert_array_equal(
         covariance[0], [[2.5e-10, 1e-11, -2e-11], [1e-11, 1e-10, 3e-12], [-2e-11, 3e-12, 5e-12]]
     )
@@ -446,10 +446,8 @@ def test_every_quantity_comes_back_bit_for_bit(tmp_path: Path) -> None:
     assert not notes
     assert left.smr == ("A", "B", "A")
     assert left.station == ("north", "north", "south")
-    assert left.quaternion_M is not None
-    np.testing.assert_array_equal(left.quaternion_M[:2], [[0.5, 0.5, -0.5, 0.5], [np.nan] * 4])
-    assert left.payload_center_F is not None
-    np.testing.assert_array_equal(left.payload_center_F[0], [0.01, 0.0, 0.05])
+    np.testing.assert_array_equal(sure(left.quaternion_M)[:2], [[0.5, 0.5, -0.5, 0.5], [np.nan] * 4])
+    np.testing.assert_array_equal(sure(left.payload_center_F)[0], [0.01, 0.0, 0.05])
     with RunFile.create(tmp_path / "run", two_arms()) as run:
         run.add_readings("left", left)
         stored = run.rows("left")
@@ -459,16 +457,14 @@ def test_every_quantity_comes_back_bit_for_bit(tmp_path: Path) -> None:
     assert_same(again["left"], left)
     assert joined([left.take([0]), left.take([1, 2])]).smr == left.smr
     rotation = replace(left, rotation_covariance_M=np.tile(1e-9 * np.eye(3), (len(left), 1, 1)))
-    both = joined([rotation.take([0]), left.take([1, 2])]).rotation_covariance_M
-    assert both is not None
+    both = sure(joined([rotation.take([0]), left.take([1, 2])]).rotation_covariance_M)
     np.testing.assert_array_equal(np.isfinite(both[:, 0, 0]), [True, False, False])
 
 
 def test_a_quaternion_of_four_digits_gets_the_length_one(tmp_path: Path) -> None:
     rows = [row.replace("0.8,0,0.6,0", "0.7071,0,0.7071,0") for row in ROWS_OF_QUANTITIES]
     readings, _ = read_readings_csv(written_of_quantities(tmp_path / "in.csv", *rows), {"left": 2})
-    found = readings["left"].quaternion_M
-    assert found is not None
+    found = sure(readings["left"].quaternion_M)
     np.testing.assert_allclose(found[2], [np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0], atol=1e-15)
 
 
@@ -542,8 +538,7 @@ def table(path: Path, names: str, values: np.ndarray, **changed: str) -> Path:
 @pytest.mark.parametrize("names", list(FORMS))
 def test_names_that_say_what_they_are_are_understood(names: str, tmp_path: Path) -> None:
     readings, notes = read_readings_csv(table(tmp_path / "in.csv", names, FORMS[names]), {"left": 2})
-    found = readings["left"].quaternion_M
-    assert found is not None
+    found = sure(readings["left"].quaternion_M)
     assert (Rotation.from_quat(found, scalar_first=True) * TURNS.inv()).magnitude().max() < 1e-7
     assert "of the probe's orientation in the tracker frame" in notes[0]
     assert not readings["left"].extras

@@ -39,6 +39,7 @@ from cellapp.robot.kinematics.transforms import apply, rotation_from_vector, tra
 from drivers.plant.clearance import segment_distances
 from drivers.plant.config import TrackerConfig
 from drivers.plant.optics import why_hidden
+from tests.sure import sure
 from tests.twin import small_twin, with_arm, with_obstacles
 
 QUARTER = math.pi / 2.0
@@ -294,8 +295,7 @@ def test_no_body_point_moves_farther_than_its_lever_allows(twin: CellBodies, joi
 @pytest.mark.parametrize("azimuth", [(-2 * math.pi, 2 * math.pi), (-0.05, 0.4), (6.2, 6.6), (3.0, 6.5), (2.0, 4.0)])
 def test_visible_smrs_are_visible_to_the_simulated_optics(twin: CellBodies, azimuth: tuple[float, float]) -> None:
     """By the plant's own rules; azimuth ranges may be written over the cut at half a turn."""
-    assert twin.field is not None
-    field = dataclasses.replace(twin.field, azimuth=azimuth, distance=(2.8, 4.4), elevation=(-0.1, 0.2))
+    field = dataclasses.replace(sure(twin.field), azimuth=azimuth, distance=(2.8, 4.4), elevation=(-0.1, 0.2))
     cell = dataclasses.replace(twin, field=field)
     optics = TrackerConfig(T_C_M=field.T_C_M, azimuth=azimuth, elevation=field.elevation, distance=field.distance)
     q = np.random.default_rng(1).uniform(-math.pi, math.pi, (20_000, 6))
@@ -597,8 +597,7 @@ def test_bases_may_stand_on_what_links_may_not_touch() -> None:
 def test_obstacles_of_a_base_move_with_it() -> None:
     profile = crowded()
     here = cell_bodies(profile)
-    base = profile.arms["left"].base
-    assert base is not None
+    base = sure(profile.arms["left"].base)
     x, y, z = base.position
     there = cell_bodies(with_arm(profile, "left", base={"position": (x - 0.1, y, z)}))
     moved = {
@@ -631,8 +630,7 @@ def test_an_obstacle_in_the_beam_hides_the_smr() -> None:
     rng = np.random.default_rng(2)
     q = rng.uniform(-math.pi, math.pi, (20_000, 6))
     q = q[visible(bare, "left", q)]
-    assert bare.field is not None
-    head = bare.field.T_C_M[:3, 3]
+    head = sure(bare.field).T_C_M[:3, 3]
     smr = place(bare.arms["left"], q).smr
     wall = RoundedBox(np.array([0.01, 0.4, 0.4]))
     middle = 0.5 * (head + smr.mean(axis=0))
@@ -653,12 +651,10 @@ def test_an_obstacle_in_the_beam_hides_the_smr() -> None:
 
 def test_obstacles_that_hold_an_arm_or_the_tracker_are_named() -> None:
     profile = small_twin()
-    assert profile.tracker.pose is not None
-    x, y, z = profile.tracker.pose.position
+    x, y, z = sure(profile.tracker.pose).position
     with pytest.raises(InputError, match=r"profile .*: obstacles\.cupboard\.pose: the tracker's head, tracker\.pose"):
         cell_bodies(with_obstacles(f"cupboard: {{shape: sphere, radius: 0.2, pose: {{position: [{x}, {y}, {z}]}}}}"))
-    base = profile.arms["right"].base
-    assert base is not None
+    base = sure(profile.arms["right"].base)
     x, y, z = base.position
     with pytest.raises(InputError, match=r"obstacles\.balloon\.pose: arm right at home reaches \d+ mm into it"):
         cell_bodies(

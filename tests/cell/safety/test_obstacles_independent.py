@@ -19,6 +19,7 @@ from cellapp.ground.profile.sections import MeshObstacle, Placement
 from tests.approved import assert_refused
 from tests.cell.safety.collision_check import CollisionCheck
 from tests.cell.safety.test_gate import crowded, random_segments
+from tests.sure import sure
 from tests.twin import small_twin
 
 trimesh = pytest.importorskip("trimesh")
@@ -96,8 +97,7 @@ def test_a_mesh_in_the_beam_hides_the_smr(folder: Path) -> None:
     profile = crowded()
     q = np.random.default_rng(2).uniform(-math.pi, math.pi, (20_000, 6))
     seen = visible(cell_bodies(profile), "left", q)
-    assert profile.tracker.pose is not None
-    x, y, z = profile.tracker.pose.position
+    x, y, z = sure(profile.tracker.pose).position
     wall = Placement(position=(x - 1.0, y + 0.2, z))
     hidden = seen & ~visible(cell_bodies(meshed(profile, folder / "box.stl", scale=0.001, pose=wall)), "left", q)
     assert 5 < hidden.sum() < seen.sum()

@@ -14,6 +14,7 @@ from cellapp.cell.targets.targets import Partner, Target, WorkingConditions, loa
 from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.transforms import rotation_zyx
 from tests.approved import assert_refused
+from tests.sure import sure
 from tests.twin import small_twin
 
 PROFILE = small_twin()
@@ -75,8 +76,7 @@ def test_quaternions_and_rotation_vectors(path: Path) -> None:
     header = f"{HEADER},qw,qx,qy,qz,rx_deg,ry_deg,rz_deg"
     targets = loaded(path, header, f"{ROW},{quaternion}", f"two{ROW[3:]},{vector}", f"three{ROW[3:]},,,,,,,")
     for target in targets[:2]:
-        assert target.rpy is not None
-        np.testing.assert_allclose(rotation_zyx(*target.rpy[::-1]), rotation.as_matrix(), rtol=0.0, atol=1e-14)
+        np.testing.assert_allclose(rotation_zyx(*sure(target.rpy)[::-1]), rotation.as_matrix(), rtol=0.0, atol=1e-14)
     assert targets[2].rpy is None
 
 
@@ -98,8 +98,7 @@ def test_a_yaml_file_gives_a_csv_file_work_frames_and_conditions(path: Path) -> 
     head = "schema: cellapp-targets\nversion: 1\ntargets: targets.csv\nconditions: {left: {payload: 2 kg}}\n"
     yaml.write_text(head + "frames:\n  table: {in: tracker, origin: [1, 2, 3], x: [2, 2, 3], xy: [1, 3, 3]}\n")
     one, two = load_targets(yaml, PROFILE)
-    assert one.work_frame is not None
-    assert one.work_frame.name == "table"
+    assert sure(one.work_frame).name == "table"
     assert two.work_frame is None
     assert one.conditions == two.conditions == WorkingConditions(payload=2.0)
     yaml.write_text(head)

@@ -21,6 +21,7 @@ from cellapp.cell.targets.targets import (
 )
 from cellapp.ground.errors import InputError
 from tests.approved import assert_refused
+from tests.sure import sure
 from tests.twin import small_twin
 
 PROFILE = small_twin()
@@ -57,8 +58,7 @@ def one(**keys: str) -> str:
 
 def test_a_work_frame_by_origin_x_axis_and_plane(path: Path) -> None:
     (target,) = loaded(path, FRAME + one(frame="table"))
-    assert target.work_frame is not None
-    T_M_W, rms = work_frame_pose(target.work_frame)
+    T_M_W, rms = work_frame_pose(sure(target.work_frame))
     np.testing.assert_allclose(T_M_W, [[0, -1, 0, 1], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], atol=1e-15)
     assert rms < 1e-15
 
@@ -70,9 +70,8 @@ def test_a_work_frame_by_points(path: Path) -> None:
     frame = f"frames:\n  plate: {{in: right, points: [{', '.join(points)}]}}\n"
     first, second = loaded(path, frame + one(frame="plate") + one(frame="plate", name="two").removeprefix("targets:\n"))
     assert first.work_frame is second.work_frame
-    assert first.work_frame is not None
-    assert first.work_frame.parent == "right"
-    np.testing.assert_allclose(work_frame_pose(first.work_frame)[0][:3, 3], [2, 0, 1], atol=1e-15)
+    assert sure(first.work_frame).parent == "right"
+    np.testing.assert_allclose(work_frame_pose(sure(first.work_frame))[0][:3, 3], [2, 0, 1], atol=1e-15)
 
 
 def test_work_frames_are_refused_as_approved(path: Path) -> None:
@@ -112,8 +111,7 @@ def test_conditions_of_the_file_hold_where_a_target_states_none(path: Path) -> N
     partner = "{arm: right, position: [0, 0, 0.1]}"
     (target,) = loaded(path, usual + one(conditions="{payload: 1}", rpy="[0, 0, 0]", partner=partner))
     assert target.conditions == WorkingConditions(payload=1.0, temperature=23.0)
-    assert target.partner is not None
-    assert target.partner.conditions == WorkingConditions(dwell=1.0)
+    assert sure(target.partner).conditions == WorkingConditions(dwell=1.0)
 
 
 TABLE = WorkFrame(
@@ -150,11 +148,10 @@ def test_a_result_is_about_a_target_while_nothing_of_it_changed(arm: str) -> Non
     stored = target_record(FULL, arm)
     assert stored.partner == ({"left", "right"} - {arm}).pop()
     assert same_target(FULL, stored)
-    assert FULL.partner is not None
     moved = TABLE.model_copy(update={"parent": "left"})
     changes = (
         {"work_frame": moved},
-        {"partner": FULL.partner.model_copy(update={"position": (0.0, 0.0, 0.2)})},
+        {"partner": sure(FULL.partner).model_copy(update={"position": (0.0, 0.0, 0.2)})},
         {"partner": None},
         {"conditions": WorkingConditions()},
         {"approach": None},

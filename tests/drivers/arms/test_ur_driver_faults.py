@@ -45,6 +45,7 @@ from tests.drivers.arms.emulated_ur_cell import (
     set_out,
 )
 from tests.latency import attempts
+from tests.sure import sure
 from tests.waiting import until, within
 
 pytestmark = pytest.mark.waits
@@ -214,8 +215,7 @@ def stop_on_the_pendant(emulator: EmulatorProcess, arm: UrArm) -> None:
 def signal_to_the_worker(emulator: EmulatorProcess, arm: UrArm, *, number: signal.Signals) -> None:
     """The client may crash or hang when its link breaks at the wrong moment: signals simulate that."""
     set_out(arm)
-    assert arm.worker_pid is not None
-    os.kill(arm.worker_pid, number)
+    os.kill(sure(arm.worker_pid), number)
     # the application has not looked yet: the controller stops the arm by itself
     until(lambda: not emulator.control(arm.name, "status")["moving"], "the watchdog stops the arm")
     assert np.abs(np.array(emulator.control(arm.name, "status")["q"]) - FAR).max() > 0.3
@@ -243,8 +243,7 @@ def kill_the_application(emulator: EmulatorProcess, arm: UrArm, *, with_worker: 
     root = Path(__file__).parents[3]
     command = [sys.executable, "-c", APPLICATION, name]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=root) as application:
-        assert application.stdout is not None
-        worker = int(within(application.stdout.readline, "the worker of the application"))
+        worker = int(within(sure(application.stdout).readline, "the worker of the application"))
         until(lambda: abs(emulator.control(name, "status")["q"][0] - HOME[0]) > 0.1, "the arm moves")
         application.kill()
         if with_worker:
@@ -366,10 +365,9 @@ def stopped_after_kill_s(emulator: EmulatorProcess, arm: UrArm) -> float:
     """Connect, kill the worker during a motion, and return when the controller stopped its program [s]."""
     make_ready(emulator, arm)
     arm.start_move(FAR, UNHURRIED, ACCELERATION)
-    assert arm.worker_pid is not None
     until(lambda: emulator.control(arm.name, "status")["moving"], "the arm moves")
     killed_s = time.monotonic()
-    os.kill(arm.worker_pid, signal.SIGKILL)
+    os.kill(sure(arm.worker_pid), signal.SIGKILL)
     until(lambda: not emulator.control(arm.name, "status")["moving"], "the watchdog stops the arm")
     (stop,) = emulator.control(arm.name, "stops", killed_s)
     assert stop["ideal_s"] > 0.0, "it went all the way"

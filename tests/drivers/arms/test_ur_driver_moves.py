@@ -58,6 +58,7 @@ from tests.drivers.arms.emulated_ur_cell import (
 )
 from tests.latency import attempts
 from tests.loopback import own_address, own_arms
+from tests.sure import sure
 from tests.waiting import WAIT_S, until, within
 
 pytestmark = pytest.mark.waits
@@ -108,17 +109,13 @@ def test_identity_state_and_tool_are_those_of_the_controller(connected: dict[str
     who, state, tool = arm.identify(), arm.state(), arm.tool()
     assert (who.model, who.serial) == (MODELS[name], SERIALS[name])
     assert who.software.startswith({"left": "3.", "right": "5."}[name])
-    assert who.dh_rows is not None
-    assert who.dh_rows.shape == (6, 4)
-    assert who.dh_rows[1, 2] == {"left": -0.612, "right": -0.425}[name]
+    assert sure(who.dh_rows).shape == (6, 4)
+    assert sure(who.dh_rows)[1, 2] == {"left": -0.612, "right": -0.425}[name]
     assert (state.robot_mode, state.safety_mode, state.program) == ("RUNNING", "NORMAL", "PLAYING")
     assert state.payload_kg == pytest.approx(0.35)
-    assert state.joint_temperature_c is not None
-    assert state.joint_temperature_c.shape == (6,)
-    assert tool.payload_center_m is not None
-    np.testing.assert_allclose(tool.payload_center_m, [0, 0, 0.03], atol=1e-12)
-    assert tool.tcp is not None
-    np.testing.assert_array_equal(tool.tcp, np.zeros(6))
+    assert sure(state.joint_temperature_c).shape == (6,)
+    np.testing.assert_allclose(sure(tool.payload_center_m), [0, 0, 0.03], atol=1e-12)
+    np.testing.assert_array_equal(sure(tool.tcp), np.zeros(6))
     limits = arm.limits()
     np.testing.assert_array_equal(limits.speed, np.full(6, 3.0))
     assert warnings_about(arm) == []
@@ -197,8 +194,7 @@ def other_clients_program(host: str) -> Iterator[None]:
     )
     command = [sys.executable, "-c", code, host]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
-        assert other.stdout is not None
-        while within(other.stdout.readline, "the program of the other client").strip() != "up":
+        while within(sure(other.stdout).readline, "the program of the other client").strip() != "up":
             assert other.poll() is None
         try:
             yield
@@ -290,7 +286,6 @@ def test_disconnecting_restores_the_state_before_connecting(unconnected: Emulato
     with driven("left") as arm:
         arm.connect()
         arm.connect()  # harmless
-        assert arm.worker_pid is not None
         arm.disconnect()
         assert arm.worker_pid is None
         arm.disconnect()

@@ -29,6 +29,7 @@ from tests.drivers.arms.emulated_ur_cell import (
     repair,
 )
 from tests.latency import attempts
+from tests.sure import sure
 from tests.waiting import until
 
 pytestmark = pytest.mark.waits
@@ -72,8 +73,7 @@ UNCONFIRMED: dict[str, tuple[Any, ...] | signal.Signals] = {
 
 def strike(emulator: EmulatorProcess, arm: UrArm, fault: tuple[Any, ...] | signal.Signals) -> None:
     if isinstance(fault, signal.Signals):
-        assert arm.worker_pid is not None
-        os.kill(arm.worker_pid, fault)
+        os.kill(sure(arm.worker_pid), fault)
     else:
         emulator.control(arm.name, *fault)
 

@@ -45,6 +45,7 @@ from drivers.patience import Patience
 from tests.drivers.arms.delayed_client import DelayedClient, Monitor
 from tests.drivers.arms.emulated_ur_cell import AWAY, HOME, PATIENT_S, expectation, pause
 from tests.loopback import own_address
+from tests.sure import sure
 from tests.waiting import until
 
 Delayed = tuple[DelayedClient, Monitor]
@@ -551,8 +552,7 @@ def test_a_dashboard_that_answers_is_no_loss_and_stops() -> None:
 def test_answers_reach_those_who_asked_in_order() -> None:
     """Stops of many threads among questions: none gets the answer to another line."""
     with dashboard(slow) as port, opened(port) as (line, lost):
-        sent = line._line
-        assert sent is not None
+        sent = sure(line._line)
         waiting = [(text, sent.send(text)) for text in ("running", "stop", "running", "stop", "stop")]
         for text, answer in waiting:
             assert answer.get(timeout=PATIENT_S) == ("Stopped" if text == "stop" else "Program running: false")

@@ -20,6 +20,7 @@ from drivers.sensors import serial_station
 from drivers.sensors.protocol import SensorLinkLost, StaleReading
 from drivers.sensors.serial_station import LONGEST_LINE, PRESETS, LineFormat, SerialStation, parse_line
 from tests.approved import assert_refused
+from tests.sure import sure
 from tests.waiting import until
 
 PTU = PRESETS["vaisala-ptu300"]
@@ -250,10 +251,9 @@ def test_before_and_after(line: Line) -> None:
     with pytest.raises(SensorLinkLost, match="not connected"):
         station.read()
     station.connect()
-    thread = station._thread
+    thread = sure(station._thread)
     station.disconnect()
     station.disconnect()
-    assert thread is not None
     assert not thread.is_alive()
     with pytest.raises(SensorLinkLost, match="not connected"):
         station.read()

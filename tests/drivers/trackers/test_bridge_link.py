@@ -43,6 +43,7 @@ from tests.at_once import all_at_once, in_parallel
 from tests.drivers.trackers.fake_lmf import Scene
 from tests.drivers.trackers.virtual_serial_cable import serial_cable
 from tests.latency import attempts
+from tests.sure import sure
 
 TOKEN = "correct horse battery staple"
 QUICK_S = 0.6
@@ -351,8 +352,7 @@ def a_client_that_reconnects_gets_the_running_measurement():
         dropped = threading.Event()
 
         def drop():
-            assert bridge._holder is not None
-            bridge._links.drop(bridge._holder, "a test cuts the link", at_once=True)
+            bridge._links.drop(sure(bridge._holder), "a test cuts the link", at_once=True)
             dropped.set()
 
         bridge.call_soon(drop)

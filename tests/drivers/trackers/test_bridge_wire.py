@@ -42,6 +42,7 @@ from drivers.trackers.protocol import (
 )
 from tests.approved import assert_refused
 from tests.drivers.trackers.virtual_serial_cable import serial_cable
+from tests.sure import sure
 from tests.waiting import until, within
 
 DOCUMENT = Path(wire.__file__).with_name("BRIDGE.md")
@@ -530,9 +531,8 @@ def bridge(make_plant) -> Iterator[TrackerBridgeEmulator]:
 @pytest.mark.parametrize("seed", SEEDS)
 def test_no_conversation_ends_the_bridge(seed: int, bridge: TrackerBridgeEmulator) -> None:
     draw = random.Random(seed)
-    assert bridge.port is not None
     for _ in range(CONVERSATIONS):
-        conversation(draw, (bridge.host, bridge.port))
+        conversation(draw, (bridge.host, sure(bridge.port)))
     bridge.call_soon(bridge._faults.clear)  # they strike whoever measures next
     tracker = BridgeTracker(bridge.url, preparation=Preparation())
     assert len(bridge._faults) <= 1000

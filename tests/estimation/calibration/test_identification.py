@@ -41,6 +41,7 @@ from cellapp.robot.model.nominal import nominal_arm
 from drivers.plant import TrueErrors
 from tests.arms import HALF_TURN, OFF_AXIS, ON_AXIS, SEVEN, UR5, UR10, at_station, dh, plant_of, true_geometry
 from tests.series import series
+from tests.sure import sure
 from tests.twin import PROFILES, altered, with_arm
 
 SIGMA = 15e-6
@@ -429,8 +430,7 @@ def test_the_right_arm_explains_and_a_wrong_unit_does_not(seed: int) -> None:
 def test_the_convention_of_the_controller_is_named(wrong: Callable[[Array], Array], words: str) -> None:
     q, p_M = readings(7)
     assert not explained(NOMINAL, wrong(q), p_M).holds
-    found = better_reading(NOMINAL, wrong(q), p_M)
-    assert found is not None
+    found = sure(better_reading(NOMINAL, wrong(q), p_M))
     assert found[0] == words
     assert found[1].holds
 

@@ -32,6 +32,7 @@ from cellapp.robot.kinematics.chain import parameter_names, smr_positions
 from cellapp.robot.model.nominal import nominal_arm
 from tests.arms import STATION
 from tests.estimation.discovery.problems import arm_of
+from tests.sure import sure
 from tests.twin import PROFILES, altered
 
 NOISE = FitScatter(1.0, 0.5)
@@ -138,8 +139,7 @@ def test_backlash_of_the_opposite_sign_is_said_and_unknown() -> None:
     assert "of the opposite sign at joints 1, 2: check the approach convention" in accepted.description.sentence
     assert accepted.description.sentence in arm.sentence
     assert 100.0 < accepted.description.size_um < 200.0
-    assert accepted.meaning is not None
-    assert accepted.meaning.check[0] == "Check the approach convention of the readings."
+    assert sure(accepted.meaning).check[0] == "Check the approach convention of the readings."
 
 
 def test_backlash_of_the_right_sign_is_named() -> None:

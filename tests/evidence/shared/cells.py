@@ -21,6 +21,7 @@ from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.transforms import Array, quaternions_of
 from drivers.plant import Plant
 from tests.evidence.skeleton import ROOT
+from tests.sure import sure
 from tests.twin import altered
 
 TWIN = ROOT / "profiles" / "twin.yaml"
@@ -96,8 +97,7 @@ def measured_by(
 
 def bare(profile: Profile, stops: int, plant_seed: int | None = None) -> Profile:
     """The profile with ``stops`` stops and no hidden effects; ``plant_seed`` draws another true geometry."""
-    assert profile.plant is not None
-    seed = profile.plant.seed if plant_seed is None else plant_seed
+    seed = sure(profile.plant).seed if plant_seed is None else plant_seed
     return altered(profile, plant={"effects": {}, "seed": seed}, plan={"stops": stops})
 
 

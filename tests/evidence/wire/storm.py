@@ -24,6 +24,7 @@ from tests.evidence.skeleton import ROOT, Evidence, Limit, Table
 from tests.evidence.wire.storm_cell import emulated_cell, undisturbed_profile, wire_profile
 from tests.evidence.wire.storm_faults import KILL, sampled_events
 from tests.evidence.wire.storm_operator import Operator, StormLog, stored
+from tests.sure import sure
 
 TITLE = "Storm on the wire"
 ALONE = True
@@ -130,9 +131,7 @@ def deviation(run: RunFile, reference: RunFile, name: str) -> Deviation:
     ours, theirs = run.readings(name), reference.readings(name)
     _, i, k = np.intersect1d(ours.configuration, theirs.configuration, return_indices=True)
     off = ours.p_M[i] - theirs.p_M[k]
-    assert ours.covariance_M is not None
-    assert theirs.covariance_M is not None
-    spread = np.linalg.inv(ours.covariance_M[i] + theirs.covariance_M[k])
+    spread = np.linalg.inv(sure(ours.covariance_M)[i] + sure(theirs.covariance_M)[k])
     return Deviation(
         joints_max_rad=float(np.abs(ours.q[i] - theirs.q[k]).max(initial=0.0)),
         position_max_mm=float(1e3 * np.linalg.norm(off, axis=1).max(initial=0.0)),

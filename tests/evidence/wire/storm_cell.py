@@ -28,6 +28,7 @@ from drivers.trackers import bridge_wire as wire
 from drivers.trackers.bridge_settings import BridgeSettings
 from drivers.trackers.simulated_settings import SimulatedTrackerSettings
 from tests.evidence.wire.polling import can_move, comes_about
+from tests.sure import sure
 from tests.twin import altered
 
 _PATIENT_S = 60.0
@@ -153,8 +154,7 @@ def emulated_cell(profile: Profile, pace: float, *, watch_clearance: bool = True
             raise HardwareError(f"the emulated cell does not start: {answer}")
         control = Control(("127.0.0.1", answer[0]))
         try:
-            assert process.pid is not None
-            yield StormCell(tuple(profile.arms), control, answer[1], process.pid)
+            yield StormCell(tuple(profile.arms), control, answer[1], sure(process.pid))
         finally:
             control.close()
     finally:

@@ -16,6 +16,7 @@ from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.model.nominal import nominal_arm
 from drivers.no_driver import NoDriver
 from tests.arms import STATION, true_geometry
+from tests.sure import sure
 from tests.twin import PROFILES, altered, whole_twin
 
 LEFT = "<script>alert('left')"
@@ -33,9 +34,8 @@ SIGMA_M = 20e-6
 def twin_of(left: str, right: str, name: str) -> Profile:
     """The simulated cell with other names and few stops."""
     twin = whole_twin()
-    assert twin.plant is not None
     names = dict(zip(twin.arms, (left, right)))
-    effects = {names[arm]: hidden for arm, hidden in twin.plant.effects.items()}
+    effects = {names[arm]: hidden for arm, hidden in sure(twin.plant).effects.items()}
     return altered(
         twin,
         name=name,

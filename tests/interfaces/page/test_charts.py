@@ -24,6 +24,7 @@ from cellapp.ground.progress import StopReport
 from cellapp.interfaces.page.figures import chart_svg
 from cellapp.interfaces.render.chart import scale_of
 from tests.interfaces.page.cases import picture
+from tests.sure import sure
 from tests.twin import with_obstacles
 
 # -- collection -------------------------------------------------------------------------------------------------------
@@ -79,8 +80,7 @@ def test_what_is_mounted_on_a_flange_is_drawn_where_the_arm_stands_at_home() -> 
     ball = "{shape: sphere, radius: 0.05, arm: left, fixed_to: "
     profile = with_obstacles(f"knob: {ball}flange}}\nfoot: {ball}base}}")
     found = {name: p_C.mean(axis=0) for name, p_C in outlined_obstacles(profile).items()}
-    base = profile.arms["left"].base
-    assert base is not None
+    base = sure(profile.arms["left"].base)
     assert np.allclose(found["foot"], base.position, atol=0.01)
     assert 0.3 < np.linalg.norm(found["knob"] - found["foot"]) < 2.0
 

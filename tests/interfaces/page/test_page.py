@@ -44,12 +44,12 @@ from tests.interfaces.page.runs import (
     store_discovery,
 )
 from tests.interfaces.page.test_views import COMPENSATED, VERIFIED, checked
+from tests.sure import sure
 from tests.twin import altered
 
 
 def calibration_of(run: RunFile) -> CalibrateResult:
-    result = read_results(run).calibrate
-    assert result is not None
+    result = sure(read_results(run).calibrate)
     return result
 
 
@@ -66,8 +66,7 @@ def as_made(run: RunFile) -> None:
 def everything(run: RunFile) -> None:
     """Every result that a run can have."""
     store_discovery(run, discovery(*run.profile.arms))
-    in_force = read_stages(run).in_force
-    assert in_force is not None
+    in_force = sure(read_stages(run).in_force)
     basis = basis_on_model(run, in_force)
     for name, result in ((COMPENSATE, COMPENSATED), (VERIFY, VERIFIED), (CHECK, checked()), (ISO9283, pose_test())):
         append_stage(run, name, result, basis)

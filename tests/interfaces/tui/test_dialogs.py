@@ -30,6 +30,7 @@ from cellapp.interfaces.tui.job_outcome import REPORT_FILE, ending_of
 from cellapp.interfaces.tui.jobs import Job, JobEnded
 from tests.handbook.screen_pictures import settle
 from tests.interfaces.tui.pilot import PROFILES, SMALL, ended, opened, running, shown_text, shows, until
+from tests.sure import sure
 
 DAY = Path("logs") / "day"
 GIVEN = {"folder": Path("day"), "targets": Path("old.script")}
@@ -132,8 +133,7 @@ async def test_the_earlier_run_is_chosen_and_shown(finished_run: Path) -> None:
         await ended(pilot, app)
     with RunFile.open(DAY_OF_PRIOR) as run:
         result = read_results(run).calibrate
-    assert result is not None
-    assert all(arm.prior is not None and arm.prior.stage == "discover" for arm in result.arms.values())
+    assert all(arm.prior is not None and arm.prior.stage == "discover" for arm in sure(result).arms.values())
 
 
 RUN = Path("logs/monday")

@@ -23,6 +23,7 @@ from cellapp.interfaces.tui.widgets.header import DayHeader
 from tests.cell.run.small_runs import collected_run
 from tests.interfaces.tui.pilot import PROFILES, ended, log_text, opened, running, shown_text, shows, until
 from tests.interfaces.tui.terminal import ROOT
+from tests.sure import sure
 from tests.waiting import WAIT_S, within
 
 pytestmark = pytest.mark.waits
@@ -54,8 +55,7 @@ def other_job(folder: Path, *words: str) -> Iterator[subprocess.Popen[str]]:
 
 
 def said(process: subprocess.Popen[str]) -> str:
-    assert process.stdout is not None
-    return within(process.stdout.readline, "the next line of the job").strip()
+    return within(sure(process.stdout).readline, "the next line of the job").strip()
 
 
 async def watched(pilot: Pilot[None], app: CellApp, starts: bool = True) -> None:
@@ -99,8 +99,7 @@ async def test_a_job_that_begins_or_ends_meanwhile_is_noticed() -> None:
     async with running(size=(120, 40)) as (pilot, app):
         await pilot.press("a", "3")
         await until(pilot, lambda: app.workspace.folder is not None, "the run")
-        folder = app.workspace.folder
-        assert folder is not None
+        folder = sure(app.workspace.folder)
         with other_job(folder, "batch") as job:
             await watched(pilot, app, starts=False)
             assert job.stdin is not None

@@ -34,6 +34,7 @@ from cellapp.interfaces.tui.widgets.log_pane import LogPane
 from cellapp.interfaces.tui.widgets.progress_bars import WHOLE_DAY, Part, ending_words, parts_of
 from tests.cell.run.small_runs import planned_run
 from tests.interfaces.tui.pilot import PROFILES, SIZES, SMALL, HeldJob, ended, opened, running, shown_text, shows, until
+from tests.sure import sure
 from tests.waiting import WAIT_S
 
 NOON = datetime(2026, 3, 1, 12, 0, 0)
@@ -190,8 +191,7 @@ def test_ages_are_amber_above_three_tenths_and_red_above_one_second() -> None:
 
 
 def test_missing_data_are_named_where_nothing_was_stopped() -> None:
-    banner = banner_of(cell_live(arm_live(5.0), arm_live(), tracker_age_s=None), {})
-    assert banner is not None
+    banner = sure(banner_of(cell_live(arm_live(5.0), arm_live(), tracker_age_s=None), {}))
     assert banner.words.startswith("NO DATA from arm left, tracker")
 
 

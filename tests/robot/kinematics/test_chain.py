@@ -48,6 +48,7 @@ from tests.arms import (
     plant_of,
     true_geometry,
 )
+from tests.sure import sure
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -296,8 +297,7 @@ def test_every_solution_reaches_the_pose_and_one_is_where_it_came_from(name: str
     q = np.random.default_rng(0).uniform(-np.pi, np.pi, (500, 6))
     rotation, _ = flange_poses(chain, q)
     position = smr_positions(chain, q)
-    found = closed_form_solutions(chain, position, rotation)
-    assert found is not None
+    found = sure(closed_form_solutions(chain, position, rotation))
     rows, branch = np.nonzero(np.isfinite(found[:, :, 0]))
     again = found[rows, branch]
     np.testing.assert_allclose(smr_positions(chain, again), position[rows], atol=1e-9)
@@ -313,8 +313,7 @@ def test_no_solution_is_missing(name: str) -> None:
     q = rng.uniform(-np.pi, np.pi, (6, 6))
     rotation, _ = flange_poses(chain, q)
     position = smr_positions(chain, q)
-    found = closed_form_solutions(chain, position, rotation)
-    assert found is not None
+    found = sure(closed_form_solutions(chain, position, rotation))
     starts = rng.uniform(-np.pi, np.pi, (100, 6))
     for k in range(len(q)):
         searched = solve_pose(chain, np.tile(position[k], (100, 1)), np.tile(rotation[k], (100, 1, 1)), starts)
@@ -328,8 +327,7 @@ def test_a_chain_beside_its_structure_is_made_exact() -> None:
     q = np.random.default_rng(4).uniform(-2.5, 2.5, (200, 6))
     rotation, _ = flange_poses(chain, q)
     position = smr_positions(chain, q)
-    found = closed_form_solutions(chain, position, rotation)
-    assert found is not None
+    found = sure(closed_form_solutions(chain, position, rotation))
     rows, branch = np.nonzero(np.isfinite(found[:, :, 0]))
     np.testing.assert_allclose(smr_positions(chain, found[rows, branch]), position[rows], atol=1e-9)
     own = np.nanmin(np.where(np.isnan(found[:, :, :1]), 9.0, apart(found, q[:, None])[:, :, None]), axis=(1, 2))
@@ -338,13 +336,11 @@ def test_a_chain_beside_its_structure_is_made_exact() -> None:
 
 def test_poses_out_of_reach_have_no_solution_and_a_free_joint_stands_where_it_is_asked_to() -> None:
     chain = geometry(UR)
-    far = closed_form_solutions(chain, np.array([[5.0, 0.0, 0.0]]), np.eye(3)[None])
-    assert far is not None
+    far = sure(closed_form_solutions(chain, np.array([[5.0, 0.0, 0.0]]), np.eye(3)[None]))
     assert np.isnan(far).all()
     q = np.array([[0.3, -1.0, 0.8, -0.7, 0.0, 0.4]])  # axes 4 and 6 are parallel
     near = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.25])
-    found = closed_form_solutions(chain, smr_positions(chain, q), flange_poses(chain, q)[0], near)
-    assert found is not None
+    found = sure(closed_form_solutions(chain, smr_positions(chain, q), flange_poses(chain, q)[0], near))
     straight = found[0][np.abs(found[0][:, 4]) < 1e-6]
     assert len(straight)
     np.testing.assert_allclose(straight[:, 5], 0.25, atol=1e-12)

@@ -24,6 +24,7 @@ from cellapp.robot.model.nominal import bodies_of, nominal_arm, pose_matrix, up_
 from cellapp.robot.paths.cartesian import Arc, CartesianPath
 from cellapp.robot.paths.joint_path import Sweep
 from tests.approved import assert_refused
+from tests.sure import sure
 from tests.twin import PROFILES, small_twin
 
 PERIOD_S = 0.008
@@ -45,9 +46,7 @@ def calibrated(profile: Profile) -> CellModel:
     rng = np.random.default_rng(5)
     arms = {}
     for name, arm in profile.arms.items():
-        assert arm.base is not None
-        assert profile.tracker.pose is not None
-        T_M_B = np.linalg.inv(pose_matrix(profile.tracker.pose)) @ pose_matrix(arm.base)
+        T_M_B = np.linalg.inv(pose_matrix(sure(profile.tracker.pose))) @ pose_matrix(sure(arm.base))
         nominal = nominal_arm(arm).with_T_M_B(T_M_B)
         names = parameter_names(nominal.joints)
         sizes = np.array([3e-4 if "a" in parameter or "d" in parameter else 1e-3 for parameter in names])
@@ -113,8 +112,6 @@ def assert_followed(profile: Profile, model: CellModel, plan: PathPlan) -> None:
     """The model's SMR keeps the tolerance at every sample and between them; no joint exceeds its rates or limits."""
     trajectory, path, wanted = plan.trajectory, plan.path, plan.spec
     assert trajectory is not None
-    assert path is not None
-    assert plan.joints is not None
     arm, kind = model.arms[wanted.arm], profile.arms[wanted.arm]
     speed, acceleration = trajectory.largest_rates()
     most = np.array([[joint.speed, joint.acceleration] for joint in kind.type.joints]) * kind.speed_scale
@@ -123,14 +120,14 @@ def assert_followed(profile: Profile, model: CellModel, plan: PathPlan) -> None:
     # away from where joints turn round, the side of approach is the sign of the motion
     steps = np.diff(trajectory.q, axis=0)
     away = np.ones(len(steps), dtype=bool)
-    for one in plan.joints.reversals:
+    for one in sure(plan.joints).reversals:
         away &= np.abs(trajectory.s[:-1] - one.at_m) > one.window_m + 2e-3
     signs = np.where(np.abs(steps) > 1e-9, np.sign(steps), 0.0)
     away &= (np.abs(steps) > 2e-6).all(axis=1)
     for share in (0.0, 0.5):
         q = trajectory.q[:-1] + share * steps
         smr = arm.predict(q[away], conditions=MeasurementConditions(approach=signs[away]))
-        assert distances_m(path, smr).max(initial=0.0) < wanted.tolerance
+        assert distances_m(sure(path), smr).max(initial=0.0) < wanted.tolerance
     cell, others = cell_bodies(profile, model), home_positions(profile)
     for row in np.linspace(0, len(trajectory.q) - 1, 5).astype(int):
         assert refuse_stop(cell, {**others, wanted.arm: trajectory.q[row]}) == ""
@@ -140,11 +137,9 @@ def test_the_example_paths_are_planned_for_both_arms(profile: Profile, model: Ce
     for wanted in load_paths(TWIN, profile):
         plan = planned(profile, model, wanted)
         assert_followed(profile, model, plan)
-        assert plan.joints is not None
-        assert plan.trajectory is not None
-        assert plan.joints.deviation_m < 0.1 * wanted.tolerance
+        assert sure(plan.joints).deviation_m < 0.1 * wanted.tolerance
         assert plan.nominal is not None
-        np.testing.assert_array_equal(np.diff(plan.trajectory.s) >= 0.0, True)
+        np.testing.assert_array_equal(np.diff(sure(plan.trajectory).s) >= 0.0, True)
 
 
 coordinates = st.floats(-0.12, 0.12)
@@ -187,26 +182,21 @@ def test_a_joint_that_turns_round_crosses_its_play(profile: Profile, model: Cell
         ]
     )
     plan = planned(profile, model, there_and_back)
-    assert plan.joints is not None
-    at_stop = [one for one in plan.joints.reversals if one.at_m == pytest.approx(0.2)]
+    at_stop = [one for one in sure(plan.joints).reversals if one.at_m == pytest.approx(0.2)]
     assert at_stop
     assert all(one.jump_m > 0.0 and one.window_m == 0.0 for one in at_stop)
     lonely = replace(model, arms={name: replace(arm, effects=()) for name, arm in model.arms.items()})
-    assert planned(profile, lonely, there_and_back).joints is not None
-    without = planned(profile, lonely, there_and_back).joints
-    assert without is not None
+    without = sure(planned(profile, lonely, there_and_back).joints)
     assert without.reversals == ()
 
 
 def test_the_wanted_speed_is_kept_where_limits_allow_it(profile: Profile, model: CellModel) -> None:
-    trajectory = planned(profile, model, spec()).trajectory
-    assert trajectory is not None
+    trajectory = sure(planned(profile, model, spec()).trajectory)
     speed = np.diff(trajectory.s) / PERIOD_S
     assert speed.max() == pytest.approx(0.1, rel=PERIOD_S / 2.0)  # the end falls on a sample
     assert trajectory.at_speed > 0.8
     assert trajectory.slowed == ""
-    fast = planned(profile, model, spec(speed="2500 mm/s", acceleration=9.0)).trajectory
-    assert fast is not None
+    fast = sure(planned(profile, model, spec(speed="2500 mm/s", acceleration=9.0)).trajectory)
     assert np.diff(fast.s).max() / PERIOD_S < 2.5
 
 

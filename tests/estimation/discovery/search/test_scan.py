@@ -31,6 +31,7 @@ from cellapp.robot.effects import EFFECTS
 from cellapp.robot.kinematics.chain import smr_positions
 from tests.estimation.discovery.problems import PLAIN, N, arm_of, data_of, problem, refining_law
 from tests.estimation.discovery.search.test_data_driven import readings_with
+from tests.sure import sure
 from tests.twin import altered
 
 
@@ -67,8 +68,7 @@ def test_a_refinement_alone_is_never_the_effect() -> None:
     projected, square = residual.projected[:, None], np.array([residual.square])
     np.testing.assert_allclose(scan.best_block_scores(projected, square), main.best_block_scores(projected, square))
     for with_refinements in (False, True):
-        found = scan.score(0, residual, with_refinements=with_refinements)
-        assert found is not None
+        found = sure(scan.score(0, residual, with_refinements=with_refinements))
         assert set(found.names) & {"a", "b"}
 
 
