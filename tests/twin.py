@@ -6,14 +6,15 @@ import functools
 import json
 import re
 import shutil
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
 import yaml
 from pydantic import BaseModel, TypeAdapter
 
-from cellapp.cell.driving.cell import Cell
+from cellapp.cell.driving.cell import Cell, open_cell
 from cellapp.cell.profile import load_profile
 from cellapp.cell.targets.targets import load_targets
 from cellapp.ground.profile import Profile
@@ -83,6 +84,18 @@ def plant_of(cell: Cell) -> Plant:
     """The plant behind an open simulated cell."""
     assert isinstance(cell.clock, SimulatedClock)
     return cell.clock.plant
+
+
+def opening(change: Callable[[Cell], None]) -> Callable[..., Any]:
+    """Open the cell of a profile and do something to it first."""
+
+    @contextmanager
+    def opened(profile: Profile, **options: Any) -> Iterator[Cell]:
+        with open_cell(profile, **options) as cell:
+            change(cell)
+            yield cell
+
+    return opened
 
 
 Model = TypeVar("Model", bound=BaseModel)

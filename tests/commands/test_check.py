@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from cellapp.cell.driving.cell import Cell, open_cell
+from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
@@ -35,7 +34,7 @@ from cellapp.ground.results import CHECK, DISCOVER
 from drivers.trackers.simulated import SimulatedTracker
 from tests.cell.driving.test_check import SOME, away, swap_splits
 from tests.sure import sure
-from tests.twin import PROFILES, altered, finished_twin
+from tests.twin import PROFILES, altered, finished_twin, opening
 from tests.twin import plant_of as opened_plant
 from tests.verbs import check_run, locate_run, opened_by, push_run
 
@@ -90,18 +89,6 @@ def kicked_base(profile: Profile) -> Plant:
 
 def remounted_smr(profile: Profile) -> Plant:
     return changed(profile, "left", target_slip={"shift": [0.4e-3, 0.0, -0.3e-3], "time": 0.0})
-
-
-def opening(change: Callable[[Cell], None]) -> Callable[..., Any]:
-    """Open the cell of a profile and do something to it first."""
-
-    @contextmanager
-    def opened(profile: Profile, **options: Any) -> Iterator[Cell]:
-        with open_cell(profile, **options) as cell:
-            change(cell)
-            yield cell
-
-    return opened
 
 
 # -- what it finds ----------------------------------------------------------------------------------------------------

@@ -44,7 +44,16 @@ from cellapp.ground.job_client import JOB_FILE
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Traceability, TraceableArm
 from cellapp.ground.results import DISCOVER
-from tests.cell.run.small_runs import SPOILED, add_stop, collected_run, planned_run, set_began, spoil_cut, two_arms
+from tests.cell.run.small_runs import (
+    SPOILED,
+    add_stop,
+    alter_file,
+    collected_run,
+    planned_run,
+    set_began,
+    spoil_cut,
+    two_arms,
+)
 from tests.commands.measured_runs import Truth, cell, measured_run, set_month
 from tests.interfaces.page.runs import without_devices
 from tests.program import app
@@ -192,10 +201,8 @@ def test_a_locked_run_is_a_row_at_once(tmp_path: Path) -> None:
 )
 def test_strange_content_is_a_row_too(tmp_path: Path, statement: str) -> None:
     folder = collected_run(tmp_path / "run", "complete", 4)
-    with contextlib.closing(sqlite3.connect(folder / "run.sqlite")) as connection:
-        with contextlib.suppress(sqlite3.IntegrityError):
-            connection.execute(statement)
-        connection.commit()
+    with contextlib.suppress(sqlite3.IntegrityError):
+        alter_file(folder, statement)
     (row,) = list_runs(tmp_path).runs
     assert row.run == str(folder)
     assert "\n" not in row.problem

@@ -40,7 +40,7 @@ from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import CellModel
 from drivers.trackers.simulated import SimulatedTracker
 from tests.sure import sure
-from tests.twin import PROFILES, plant_of, small_twin, with_arm
+from tests.twin import PROFILES, opening, plant_of, small_twin, with_arm
 from tests.verbs import Opened, collect_stops, locate_run, opened_by, push_run, report_run
 
 
@@ -294,13 +294,7 @@ def _only(wanted: str, best: Callable[..., Any]) -> Callable[..., Any]:
 def test_a_fault_leaves_the_model_as_it_was(run: RunFile, monkeypatch: pytest.MonkeyPatch) -> None:
     opened: list[Cell] = []
 
-    @contextmanager
-    def failing(profile: Profile, **options: Any) -> Iterator[Cell]:
-        with open_cell(profile, **options) as cell:
-            opened.append(cell)
-            yield cell
-
-    monkeypatch.setattr("cellapp.cell.driving.supervision.open_cell", failing)
+    monkeypatch.setattr("cellapp.cell.driving.supervision.open_cell", opening(opened.append))
     before = (run.folder / CALIBRATION_FILE).read_bytes(), read_stages(run).current
 
     def protective_stop(event: Progress) -> None:

@@ -80,13 +80,11 @@ def test_wrong_cells_are_named_as_approved(tmp_path: Path) -> None:
     path = tmp_path / "plan.csv"
     lines = written(path)
 
-    def refused(line: str, column: str, text: str) -> str:
+    def refused(line: str, column: str, text: str) -> object:
         path.write_text("\n".join(with_cell(lines, int(line), column, text)), "utf-8")
-        with pytest.raises(InputError) as caught:
-            read_plan_csv(path, PROFILE)
-        return str(caught.value).replace(f"{tmp_path}/", "")
+        return read_plan_csv(path, PROFILE)
 
-    assert_refused(Path(__file__).parent / "approved" / "wrong-cells.txt", refused)
+    assert_refused(Path(__file__).parent / "approved" / "wrong-cells.txt", refused, tmp_path)
 
 
 def test_arms_of_different_joints_share_a_file(tmp_path: Path) -> None:

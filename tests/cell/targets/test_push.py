@@ -5,8 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
@@ -14,7 +12,7 @@ import numpy as np
 import pytest
 
 from cellapp.cell.driving import target_visit
-from cellapp.cell.driving.cell import Cell, open_cell
+from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.motion import Mover
 from cellapp.cell.driving.target_visit import push
 from cellapp.cell.run import RunFile
@@ -39,7 +37,7 @@ from drivers.plant import Clearance
 from tests.cell.planning.planned_cells import three_arms
 from tests.cell.targets.pairs import pair_targets, stops_with_room
 from tests.sure import sure
-from tests.twin import PROFILES, altered, plant_of, small_twin
+from tests.twin import PROFILES, altered, opening, plant_of, small_twin
 from tests.verbs import push_run
 
 ALL = load_targets(PROFILES / "targets" / "twin.yaml", small_twin())
@@ -146,13 +144,7 @@ def test_a_fault_on_the_way_stops_everything(
 ) -> None:
     opened: list[Any] = []
 
-    @contextmanager
-    def failing(profile: Any, **options: Any) -> Iterator[Cell]:
-        with open_cell(profile, **options) as cell:
-            opened.append(cell)
-            yield cell
-
-    monkeypatch.setattr("cellapp.cell.driving.supervision.open_cell", failing)
+    monkeypatch.setattr("cellapp.cell.driving.supervision.open_cell", opening(opened.append))
     control = JobControl(lambda event: opened[0].arms["left"].protective_stop() if event.done == 2 else None)
     with pytest.raises(HardwareError, match="arm left: protective stop"):
         push(run.profile, model, commands, control, verify=True)

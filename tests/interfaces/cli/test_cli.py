@@ -10,7 +10,6 @@ import re
 import shlex
 import shutil
 import signal
-import sqlite3
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -25,6 +24,7 @@ from cellapp.cell.planning.planned_stops import straight_stops, write_planned_st
 from cellapp.cell.run import RunFile
 from drivers.findings import Finding
 from tests.approved import assert_approved, commands_of, without_digits
+from tests.cell.run.small_runs import alter_file
 from tests.interfaces.cli.conftest import Ended, exit_code, one_sentence
 from tests.loopback import own_address
 from tests.sure import sure
@@ -250,13 +250,6 @@ def test_an_import_in_order_says_what_it_derived(work: Path, call: Any) -> None:
 # -- bad input --------------------------------------------------------------------------------------------------------
 
 
-def spoil_run(run: Path, statement: str) -> None:
-    connection = sqlite3.connect(run / "run.sqlite")
-    connection.execute(statement)
-    connection.commit()
-    connection.close()
-
-
 def edit(path: Path, old: str, new: str) -> None:
     text = path.read_text("utf-8")
     assert old in text
@@ -273,15 +266,15 @@ def truncated(work: Path) -> None:
 
 
 def newer(work: Path) -> None:
-    spoil_run(work / "collected", "PRAGMA user_version=99")
+    alter_file(work / "collected", "PRAGMA user_version=99")
 
 
 def damaged_basis(work: Path) -> None:
-    spoil_run(work / "done", "UPDATE stage SET basis = 'x' WHERE name = 'discover'")
+    alter_file(work / "done", "UPDATE stage SET basis = 'x' WHERE name = 'discover'")
 
 
 def damaged_model(work: Path) -> None:
-    spoil_run(work / "done", "UPDATE stage SET model = '[1]' WHERE name = 'calibrate'")
+    alter_file(work / "done", "UPDATE stage SET model = '[1]' WHERE name = 'calibrate'")
 
 
 def other_splits(work: Path) -> None:

@@ -21,7 +21,7 @@ from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.program import MotionQuestion, Palette
 from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.widgets.controls import StopButton
-from tests.interfaces.tui.pilot import PROFILES, SMALL, WAIT_S, MovingJob, ended, log_text, opened, until
+from tests.interfaces.tui.pilot import WAIT_S, MovingJob, ended, log_text, running, until
 from tests.latency import attempts
 from tests.sure import sure
 
@@ -30,7 +30,6 @@ BAR_S = 0.1
 
 
 async def started(pilot: Pilot[None], app: CellApp, moving: MovingJob) -> None:
-    await opened(pilot, app)
     moving.clock = time.monotonic
     app.start_job(moving.job(Path("here")))
     await until(pilot, moving.began.is_set, "the job")
@@ -39,8 +38,7 @@ async def started(pilot: Pilot[None], app: CellApp, moving: MovingJob) -> None:
 @asynccontextmanager
 async def held_by(moving: MovingJob) -> AsyncIterator[tuple[Pilot[None], CellApp]]:
     """The application while a job of moving arms runs."""
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
+    async with running() as (pilot, app):
         await started(pilot, app, moving)
         yield pilot, app
 
@@ -53,8 +51,7 @@ async def aborted(pilot: Pilot[None], app: CellApp) -> None:
 @pytest.mark.usefixtures("painted")
 @pytest.mark.parametrize(("way", "verb"), [("escape", "stop"), ("click", "stop"), ("ctrl+x", "abort")])
 async def test_one_key_and_one_click_brake_within_the_bar_over_every_dialog(way: str, verb: str) -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
+    async with running() as (pilot, app):
         for dialog in ("none", "motion") if verb == "abort" else ("none", "leave", "motion", "palette"):
             for took in attempts(braked=BAR_S):
                 took["braked"] = await braked_over(pilot, app, dialog, way, verb)
