@@ -176,8 +176,7 @@ def summary(results: list[dict[str, Any]], asked: argparse.Namespace) -> Evidenc
     rows = [_row(kind, [one for one in checks if one["kind"] == kind]) for kind in (UNCHANGED, *KINDS)]
     same, changed = ([one for one in checks if (one["kind"] == UNCHANGED) is same] for same in (True, False))
     figures = {"valid": str(_right(same)), "found": str(_right(changed))}
-    figures["named"] = str(Share.of(one["named"] for one in changed))
-    figures |= {f"{name}_stops": _mean_stops(some) for name, some in (("valid", same), ("found", changed))}
+    figures |= {"named": str(Share.of(one["named"] for one in changed)), "found_stops": _mean_stops(changed)}
     shares = (("unchanged cells valid", LEAST_VALID, same), ("changes found", LEAST_FOUND, changed))
     limits = [
         Limit(f"{words}, {model}", share.hits / share.n, least=least)

@@ -99,7 +99,7 @@ def _row(
     median, worst = float(np.median(values)), float(max(values))
     shown = [f"{value:.0f} {unit}".strip() if math.isfinite(value) else "never" for value in (median, worst)]
     cells = [what, str(len(values)), *shown, f"{worst_bar:g} {unit}".strip()]
-    return {"cells": cells, "worst": worst, "kept": worst <= worst_bar and median <= median_bar}
+    return {"cells": cells, "kept": worst <= worst_bar and median <= median_bar}
 
 
 @dataclass(frozen=True)
@@ -211,14 +211,7 @@ def _collecting() -> Iterator[PressBench]:
 
 def summary(results: list[dict[str, Any]], asked: argparse.Namespace) -> Evidence:
     rows, not_measured = results[0]["rows"], results[0]["not_measured"]
-    pressed = rows[: len(KEYS)]
-    worst = max((row["worst"] for row in pressed), default=math.inf)
-    presses = sum(int(row["cells"][1]) for row in pressed)
     missed = len(not_measured) + sum(not row["kept"] for row in rows)
     title, columns = f"Beside {asked.busy} busy processes", ["from the act", "n", "median", "worst", "limit"]
-    return Evidence(
-        {"worst": f"{worst:.0f} ms", "presses": str(presses)},
-        [Table(title, columns, [row["cells"] for row in rows])],
-        [Limit("rows that missed their limit, or were not measured", missed, 0)],
-        not_measured,
-    )
+    limit = Limit("rows that missed their limit, or were not measured", missed, 0)
+    return Evidence(tables=[Table(title, columns, [row["cells"] for row in rows])], limits=[limit], said=not_measured)
