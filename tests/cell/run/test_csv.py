@@ -232,7 +232,7 @@ def some_readings(draw: st.DrawFn, joints: int, extras: tuple[str, ...]) -> Read
     )
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(data=st.data())
 def test_export_then_import_gives_every_bit_back(data: st.DataObject, tmp_path_factory: pytest.TempPathFactory) -> None:
     extras = data.draw(st.sampled_from([(), ("note",), ("b", "a, \"quoted\"")]))  # fmt: skip
@@ -254,7 +254,7 @@ def test_export_then_import_gives_every_bit_back(data: st.DataObject, tmp_path_f
     shutil.rmtree(folder)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(content=st.text(alphabet='configuration,arm"qxyz_m123.\n-e5leftrigh', max_size=120))
 def test_any_text_is_read_or_refused(content: str, tmp_path_factory: pytest.TempPathFactory) -> None:
     path = tmp_path_factory.mktemp("any") / "file.csv"

@@ -205,7 +205,7 @@ def test_contradictory_orders_are_refused(path: Path) -> None:
         left(path)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     q=hnp.arrays(np.float64, st.tuples(st.integers(1, 6), st.just(2)), elements=st.floats(-3.0, 3.0)), data=st.data()
 )

@@ -214,7 +214,7 @@ def test_names_and_separators_of_other_programs(tmp_path: Path, names: str, sepa
 
 
 @given(st.sampled_from([";", "\t", " "]), st.sampled_from([",", "."]), st.booleans())
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 def test_degrees_millimetres_and_decimal_commas(
     tmp_path_factory: pytest.TempPathFactory, separator: str, comma: str, named: bool
 ) -> None:

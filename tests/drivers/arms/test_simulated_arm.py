@@ -33,7 +33,7 @@ angles = st.lists(st.floats(-6, 6), min_size=6, max_size=6).map(np.array)
 limits = st.lists(st.floats(0.05, 3), min_size=6, max_size=6).map(np.array)
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(start=angles, goal=angles, speed=limits, acceleration=limits)
 def test_a_motion_is_straight_and_within_limits(start, goal, speed, acceleration):
     motion = travel(3.0, start, goal, speed, acceleration)
@@ -56,7 +56,7 @@ def test_a_motion_is_straight_and_within_limits(start, goal, speed, acceleration
     assert (np.diff(share) >= -1e-12).all()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(goal=angles, speed=limits, acceleration=limits, share=st.floats(0.01, 0.99))
 def test_braking_follows_the_path_and_never_passes_its_end(goal, speed, acceleration, share):
     motion = travel(0.0, np.zeros(6), goal, speed, acceleration)

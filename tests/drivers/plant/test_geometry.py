@@ -22,7 +22,7 @@ from tests.evidence.shared.changes import lengthened, link_moved, zero_shifted
 from tests.sure import sure
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(joints=st.integers(2, 8), seed=st.integers(0, 2**32 - 1))
 def test_a_perfect_cell_is_its_dh_chain(make_arm, make_config, make_plant, dh_smr, joints, seed):
     rng = np.random.default_rng(seed)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.trackers.lmf import MEASURING_S, LmfTracker, visible_trackers
@@ -265,7 +265,6 @@ def test_averaging_time_set_by_the_caller(tracker: Make, scene: Scene) -> None:
         driver.measure(LEFT, 0.01)
 
 
-@settings(deadline=None)
 @given(p=st.tuples(*[st.floats(-8.0, 8.0)] * 3).filter(lambda p: math.hypot(*p) > 0.5))
 def test_the_law_is_turned_into_cartesian(p: tuple[float, float, float]) -> None:
     p_M = np.array(p)

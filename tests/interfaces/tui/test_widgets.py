@@ -263,7 +263,7 @@ NUMBERS = st.one_of(
 )
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(
     x=arrays(np.float64, st.integers(0, 30), elements=NUMBERS, fill=st.nothing()),
     seed=st.integers(0, 2**32 - 1),
