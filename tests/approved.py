@@ -19,6 +19,7 @@ import numpy as np
 from cellapp.commands.view.charts import Chart
 from cellapp.commands.view.parts import Facts, Parts, Section
 from cellapp.commands.view.table import Table
+from cellapp.ground.errors import CellappError
 
 _HASH = re.compile(r"\b(?=[a-f]*\d)[0-9a-f]{8,64}\b")
 UPDATE = os.environ.get("CELLAPP_UPDATE_SNAPSHOTS", "") not in ("", "0")
@@ -75,11 +76,22 @@ def _lines(part: object) -> Iterator[str]:
         yield str(part)
 
 
-def assert_refused(path: Path, refusal: Callable[..., str]) -> None:
-    """Compare what is said of each line ``$ WORD ...`` of a text, in whose words a line end stands as ``\\n``."""
+def assert_refused(path: Path, refusal: Callable[..., object], *folders: Path) -> None:
+    """Compare what is said of each line ``$ WORD ...`` of a text, in whose words a line end stands as ``\\n``.
+
+    ``refusal`` gets the words and returns what is said, or raises it as an error of cellapp or a ValueError; paths
+    in ``folders`` are said from there on.
+    """
     shown = []
     for command in commands_of(path):
-        shown += [f"$ {command}", refusal(*(word.replace("\\n", "\n") for word in shlex.split(command)))]
+        try:
+            said = refusal(*(word.replace("\\n", "\n") for word in shlex.split(command)))
+            assert isinstance(said, str), f"not refused: {command}"
+        except (CellappError, ValueError) as error:
+            said = str(error)
+        for folder in folders:
+            said = said.replace(f"{folder}/", "")
+        shown += [f"$ {command}", said]
     assert_approved(path, "\n".join(shown))
 
 

@@ -15,7 +15,7 @@ from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.chain import flange_poses
 from cellapp.robot.model.nominal import nominal_arm
-from tests.twin import whole_twin
+from tests.twin import altered, whole_twin
 
 Array = NDArray[np.float64]
 _POOL = 600
@@ -53,8 +53,7 @@ def series(
     """
     rng = np.random.default_rng([seed, 77])
     profile = twin()
-    assert profile.plant is not None
-    plant = build_plant(profile.model_copy(update={"plant": profile.plant.model_copy(update={"seed": seed})}))
+    plant = build_plant(altered(profile, plant={"seed": seed}))
     rows = rng.permutation(_POOL)[:count]
     if short_ways:
         rotations = np.array_split(rows, 4)

@@ -6,13 +6,19 @@ import functools
 import json
 import re
 import shutil
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from cellapp.cell.driving.cell import Cell
+import yaml
+from pydantic import BaseModel, TypeAdapter
+
+from cellapp.cell.driving.cell import Cell, open_cell
 from cellapp.cell.profile import load_profile
 from cellapp.cell.targets.targets import load_targets
 from cellapp.ground.profile import Profile
+from cellapp.ground.profile.sections import AnyObstacle, Obstacles
 from drivers.clock import SimulatedClock
 from drivers.plant import Plant
 
@@ -55,15 +61,8 @@ def whole_twin() -> Profile:
 def small_twin(stops: int = 30, *, plan: dict[str, Any] | None = None, plant: dict[str, Any] | None = None) -> Profile:
     """The twin with ``stops`` stops and few readings in each split; keys of its ``plan`` and ``plant`` changed."""
     profile = whole_twin()
-    assert profile.plant is not None
     splits = {"identify": 15, "train": 5, "validate_": 10, "pair_identify": 10, "pair_validate": 10}
-    return profile.model_copy(
-        update={
-            "plan": profile.plan.model_copy(update={"stops": stops, **(plan or {})}),
-            "plant": profile.plant.model_copy(update=plant or {}),
-            "splits": profile.splits.model_copy(update=splits),
-        }
-    )
+    return altered(profile, plan={"stops": stops, **(plan or {})}, plant=plant or {}, splits=splits)
 
 
 HIDDEN = {
@@ -78,8 +77,7 @@ def finished_twin(stops: int = 120) -> Profile:
     profile = small_twin(stops, plant={"effects": HIDDEN})
     share = stops / 120
     sizes = {"identify": 80, "train": 1, "validate_": 39, "pair_identify": 50, "pair_validate": 30}
-    splits = profile.splits.model_copy(update={key: max(1, int(size * share)) for key, size in sizes.items()})
-    return profile.model_copy(update={"splits": splits})
+    return altered(profile, splits={key: max(1, int(size * share)) for key, size in sizes.items()})
 
 
 def plant_of(cell: Cell) -> Plant:
@@ -88,12 +86,54 @@ def plant_of(cell: Cell) -> Plant:
     return cell.clock.plant
 
 
+def opening(change: Callable[[Cell], None]) -> Callable[..., Any]:
+    """Open the cell of a profile and do something to it first."""
+
+    @contextmanager
+    def opened(profile: Profile, **options: Any) -> Iterator[Cell]:
+        with open_cell(profile, **options) as cell:
+            change(cell)
+            yield cell
+
+    return opened
+
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def altered(model: Model, **changes: Any) -> Model:
+    """The model with keys changed; where a mapping is given, keys of the model there, or of models by their names."""
+    update = {}
+    for key, value in changes.items():
+        now = getattr(model, key)
+        if isinstance(value, Mapping) and isinstance(now, BaseModel):
+            value = altered(now, **value)
+        elif isinstance(value, Mapping) and isinstance(now, Mapping):
+            value = _altered_by_name(now, value)
+        update[key] = value
+    return model.model_copy(update=update)
+
+
+def _altered_by_name(now: Mapping[str, Any], changes: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The models with keys of some changed, or what is given instead of all of them."""
+    if not changes or not all(isinstance(now.get(name), BaseModel) for name in changes):
+        return changes
+    if any(isinstance(its, BaseModel) for its in changes.values()):
+        return changes
+    return {**now, **{name: altered(now[name], **its) for name, its in changes.items()}}
+
+
 def with_arm(profile: Profile, name: str, **changes: Any) -> Profile:
     """The profile with keys of one arm changed."""
-    return profile.model_copy(update={"arms": {**profile.arms, name: profile.arms[name].model_copy(update=changes)}})
+    return altered(profile, arms={name: changes})
 
 
 def with_arms(profile: Profile, **changes: Any) -> Profile:
     """The profile with the same keys changed in both arms."""
-    arms = {name: arm.model_copy(update=changes) for name, arm in profile.arms.items()}
-    return profile.model_copy(update={"arms": arms})
+    return altered(profile, arms=dict.fromkeys(profile.arms, changes))
+
+
+def with_obstacles(text: str, profile: Profile | None = None) -> Profile:
+    """The profile, or the small twin, with the obstacles of a text as it stands in files of profiles."""
+    obstacles = TypeAdapter[dict[str, AnyObstacle]](Obstacles).validate_python(yaml.safe_load(text))
+    return (profile or small_twin()).model_copy(update={"obstacles": obstacles})

@@ -21,6 +21,7 @@ from cellapp.ground.profile import Profile
 from cellapp.ground.progress import JobToken, ignore_words
 from drivers.trackers.bridge_settings import BridgeSettings
 from tests import latency
+from tests.twin import altered
 from tests.waiting import WAIT_S
 
 PATIENT_S = WAIT_S
@@ -51,7 +52,7 @@ def stalled(text: str) -> bool:
 def behind_bridge(profile: Profile, url: str = "socket://127.0.0.1:50960", **settings: Any) -> Profile:
     """The profile with its tracker behind a bridge."""
     driver = BridgeSettings(url=url, **settings)
-    return profile.model_copy(update={"tracker": profile.tracker.model_copy(update={"driver": driver})})
+    return altered(profile, tracker={"driver": driver})
 
 
 def _serve(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import sqlite3
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +16,7 @@ from cellapp.ground.profile.sections import Tolerances, Traceability, TraceableA
 from cellapp.robot.kinematics.chain import parameter_names, smr_positions
 from cellapp.robot.model.nominal import nominal_arm
 from tests.arms import STATION, true_geometry
+from tests.cell.run.small_runs import alter_file
 from tests.interfaces.page.runs import without_devices
 
 SIGMA_M = 15e-6
@@ -84,8 +83,5 @@ def set_month(folder: Path, month: int) -> None:
     """Let a run have been made on a day of a month since January 2026."""
     year, in_year = divmod(month, 12)
     written = f"{2026 + year}-{in_year + 1:02}-05T08:00:00.000+00:00"
-    with contextlib.closing(sqlite3.connect(folder / "run.sqlite")) as connection:
-        connection.execute("UPDATE meta SET value = ? WHERE key = 'created'", (written,))
-        connection.execute("UPDATE session SET began = ?", (written,))
-        connection.execute("UPDATE stage SET written = ?", (written,))
-        connection.commit()
+    for what in ("meta SET value = ? WHERE key = 'created'", "session SET began = ?", "stage SET written = ?"):
+        alter_file(folder, f"UPDATE {what}", written)

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from cellapp.cell.driving.cell import Cell, open_cell
+from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
@@ -34,7 +33,8 @@ from cellapp.ground.progress import Progress
 from cellapp.ground.results import CHECK, DISCOVER
 from drivers.trackers.simulated import SimulatedTracker
 from tests.cell.driving.test_check import SOME, away, swap_splits
-from tests.twin import PROFILES, finished_twin
+from tests.sure import sure
+from tests.twin import PROFILES, altered, finished_twin, opening
 from tests.twin import plant_of as opened_plant
 from tests.verbs import check_run, locate_run, opened_by, push_run
 
@@ -61,15 +61,13 @@ def checked_folder(finished_run: Path, tmp_path_factory: pytest.TempPathFactory)
 def arm_changed(checked_folder: Path, tmp_path: Path) -> Iterator[tuple[RunFile, CheckResult]]:
     """A copy of that run, and its check."""
     with RunFile.open(Path(shutil.copytree(checked_folder, tmp_path / "changed")), write=True) as opened:
-        found = read_results(opened).check
-        assert found is not None
+        found = sure(read_results(opened).check)
         yield opened, found
 
 
 def changed(profile: Profile, arm: str, **effects: Any) -> Plant:
     """The hidden physics of a profile with further effects of one arm."""
-    plant = profile.plant
-    assert plant is not None
+    plant = sure(profile.plant)
     return plant.model_copy(update={"effects": {**plant.effects, arm: {**plant.effects.get(arm, {}), **effects}}})
 
 
@@ -80,8 +78,7 @@ def other_zero(profile: Profile, arm: str = "left", joint: int = 3, rad: float =
 
 
 def kicked_tracker(profile: Profile) -> Plant:
-    plant = profile.plant
-    assert plant is not None
+    plant = sure(profile.plant)
     kicked = away(profile.tracker.pose, (0.02, -0.03, 0.0), (0.002, 0.0, 0.01))
     return plant.model_copy(update={"tracker_pose": kicked})
 
@@ -92,18 +89,6 @@ def kicked_base(profile: Profile) -> Plant:
 
 def remounted_smr(profile: Profile) -> Plant:
     return changed(profile, "left", target_slip={"shift": [0.4e-3, 0.0, -0.3e-3], "time": 0.0})
-
-
-def opening(change: Callable[[Cell], None]) -> Callable[..., Any]:
-    """Open the cell of a profile and do something to it first."""
-
-    @contextmanager
-    def opened(profile: Profile, **options: Any) -> Iterator[Cell]:
-        with open_cell(profile, **options) as cell:
-            change(cell)
-            yield cell
-
-    return opened
 
 
 # -- what it finds ----------------------------------------------------------------------------------------------------
@@ -117,7 +102,7 @@ FRICTION = {"friction": [8.0] * 6, "load_friction": [0.1] * 6, "stiffness": [6e4
 )
 def test_what_a_calibration_left_unexplained_is_no_change(tmp_path: Path, hidden: dict[str, Any]) -> None:
     profile = finished_twin(80)
-    profile = profile.model_copy(update={"plan": profile.plan.model_copy(update={"method": "random"})})
+    profile = altered(profile, plan={"method": "random"})
     for name in profile.arms:
         profile = profile.model_copy(update={"plant": changed(profile, name, **hidden)})
     with new_planned_run(profile, tmp_path / "run") as run:
@@ -136,16 +121,14 @@ def test_an_unchanged_cell_is_valid_within_ten_minutes(run: RunFile) -> None:
     found = check_run(run)
     assert (found.verdict, found.complaints(), found.next_step) == ("valid", [], "")
     assert found.sure_after == len(found.stops) <= found.planned == 20
-    assert found.seconds is not None
-    assert found.seconds / len(found.stops) * found.planned < TEN_MINUTES_S
+    assert sure(found.seconds) / len(found.stops) * found.planned < TEN_MINUTES_S
     assert set(found.arms) == {"left", "right"}
     assert all(set(stop.points) == {"left", "right"} for stop in found.stops)
     assert max(point.error_mm for stop in found.stops for point in stop.points.values()) < 0.15
     stages = read_stages(run)
     assert (stages.stale_model(), run_overview(run).stale) == ("", "")
     assert CheckResult.from_json(stages.current[CHECK].text, "") == found == read_results(run).check
-    basis = stages.current[CHECK].basis
-    assert basis is not None
+    basis = sure(stages.current[CHECK].basis)
     assert list(basis.stages) == [DISCOVER]
 
 
@@ -309,8 +292,7 @@ def test_what_cannot_be_checked_is_refused_before_anything_moves(run: RunFile, t
 def test_another_plant_is_refused_for_arms_that_are_not_simulated(run: RunFile) -> None:
     from cellapp.commands.check.run import _with_plant
 
-    plant = run.profile.plant
-    assert plant is not None
+    plant = sure(run.profile.plant)
     with pytest.raises(InputError, match="--simulated-plant changes a simulated cell"):
         _with_plant(load_profile(PROFILES / "ur10-ur5.yaml"), plant)
 
@@ -318,13 +300,10 @@ def test_another_plant_is_refused_for_arms_that_are_not_simulated(run: RunFile) 
 def test_a_probe_shows_a_change_that_positions_do_not(tmp_path: Path) -> None:
     """Joint 6 hardly moves an SMR near its axis; a 6-D probe on the flange shows that it turns."""
     twin = finished_twin(40)
-    assert twin.plant is not None
-    plant = twin.plant.model_copy(update={"effects": {}})
-    drawn = twin.plan.model_copy(update={"method": "random"})
     left = twin.arms["left"]
     smr = Smr.model_validate({**left.smr.model_dump(), "probe": {"rpy": (0.1, -0.2, 0.3), "sigma": 1e-4}})
-    alone = twin.model_copy(
-        update={"arms": {"left": left.model_copy(update={"smr": smr})}, "plant": plant, "plan": drawn}
+    alone = altered(
+        twin, arms={"left": left.model_copy(update={"smr": smr})}, plant={"effects": {}}, plan={"method": "random"}
     )
     with new_planned_run(alone, tmp_path / "run") as run:
         collect_run(run)

@@ -31,6 +31,7 @@ from cellapp.ground.results import VERIFY
 from cellapp.interfaces.page.page import write_page
 from drivers.findings import Finding
 from tests.cell.run.small_runs import collected_run
+from tests.sure import sure
 from tests.twin import PROFILES
 from tests.verbs import report_run
 
@@ -71,8 +72,7 @@ def test_a_page_is_out_of_date_as_soon_as_the_run_holds_something_newer(
         assert complaints_of(run) == []
         report_run(run, write_page)
         assert complaints_of(run) == []
-        verify = read_results(run).verify
-        assert verify is not None
+        verify = sure(read_results(run).verify)
         append_stage(run, VERIFY, verify.model_copy(update={"stopped": "by hand"}), basis_of(run))
         (complaint,) = complaints_of(run)
         assert complaint.startswith(f"{REPORT_FILE} is out of date (the run has changed since)")
@@ -145,8 +145,7 @@ def test_the_person_is_shown_the_first_path_and_decides(real: Profile, findings:
         return answers.pop(0)
 
     start = home_positions(real)
-    confirm = confirmation(real, asked_once(ask))
-    assert confirm is not None
+    confirm = sure(confirmation(real, asked_once(ask)))
     assert [confirm(start, start) for _ in range(4)] == [False, True, True, True]
     assert len(shown) == 2, "once allowed, nobody is asked again"
 

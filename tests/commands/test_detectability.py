@@ -30,7 +30,8 @@ from cellapp.ground.executors import Gathered, PoolWork, TimeLimit
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import JobToken, Notice, Progress
 from tests.program import app
-from tests.twin import whole_twin
+from tests.sure import sure
+from tests.twin import altered, whole_twin
 from tests.verbs import plan_new_run
 
 
@@ -40,12 +41,11 @@ def twin(stops: int = 60) -> Profile:
     quarter = stops // 4
     splits = {"identify": quarter, "train": stops - 2 * quarter, "validate_": quarter, "pair_identify": quarter,
               "pair_validate": quarter}  # fmt: skip
-    return profile.model_copy(
-        update={
-            "plan": profile.plan.model_copy(update={"stops": stops, "reserve": 0, "method": "random"}),
-            "splits": profile.splits.model_copy(update=splits),
-            "discovery": profile.discovery.model_copy(update={"null_simulations": 20}),
-        }
+    return altered(
+        profile,
+        plan={"stops": stops, "reserve": 0, "method": "random"},
+        splits=splits,
+        discovery={"null_simulations": 20},
     )
 
 
@@ -155,11 +155,9 @@ def test_sizes_are_those_from_which_the_search_names(result: DetectabilityResult
     arm = result.arms["left"]
     found = {one.effect: one for one in arm.effects}
     for effect, true_mm in TRUE_MM.items():
-        named = found[effect].named_from
-        assert named is not None
-        assert named.high_mm is not None
+        named = sure(found[effect].named_from)
         assert named.low_mm < 1.5 * true_mm
-        assert named.high_mm > true_mm
+        assert sure(named.high_mm) > true_mm
         assert found[effect].trials == 16
     lost = found["joint_compliance"]
     assert lost.named_from is None
@@ -220,9 +218,8 @@ def test_a_run_keeps_it_and_its_report_shows_it(
     with RunFile.open(tmp_path / "run") as run:
         assert stored_detectability(run) == result
         section = detectability_section(run)
-    assert section is not None
-    assert "blind trials" in section.message
-    assert len(section.parts) == len(result.arms)
+    assert "blind trials" in sure(section).message
+    assert len(sure(section).parts) == len(result.arms)
 
 
 def test_a_run_without_a_plan_is_refused(tmp_path: Path) -> None:

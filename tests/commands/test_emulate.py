@@ -38,7 +38,8 @@ from drivers.plant.sweep import recorder_of
 from tests.cell.targets.pairs import pair_targets, stops_with_room
 from tests.commands.emulated_cell import behind_bridge, emulated, patiently, stalled
 from tests.loopback import free_port, own_address, own_arms
-from tests.twin import PROFILES, small_twin, with_arm
+from tests.sure import sure
+from tests.twin import PROFILES, altered, small_twin, with_arm
 from tests.verbs import push_run
 from tests.waiting import WAIT_S, within
 
@@ -68,7 +69,7 @@ def test_the_twin_over_the_wire_gives_the_readings_and_the_calibration_of_the_tw
     # the right one has an e-Series controller: 500 Hz, remote control, other dashboard
     e_series = load_profile(PROFILES / "ur10e-ur5e.yaml").arms["right"].type
     twin = with_arm(small_twin(STOPS), "right", type=e_series)
-    twin = twin.model_copy(update={"network": twin.network.model_copy(update={"kind": "none"})})
+    twin = altered(twin, network={"kind": "none"})
     plan, _ = make_stops(twin)
     direct, its, verified = collected(twin, tmp_path / "direct", plan)
     arms = {
@@ -93,14 +94,12 @@ def test_the_twin_over_the_wire_gives_the_readings_and_the_calibration_of_the_tw
         found, expected = ours.arms[name].identified, its.arms[name].identified
         assert list(found) == list(expected)
         for parameter, estimate in expected.items():
-            assert estimate.standard_error is not None
-            assert abs(found[parameter].value - estimate.value) < 1e-3 * estimate.standard_error
-            assert found[parameter].standard_error == pytest.approx(estimate.standard_error, rel=1e-3)
+            assert abs(found[parameter].value - estimate.value) < 1e-3 * sure(estimate.standard_error)
+            assert found[parameter].standard_error == pytest.approx(sure(estimate.standard_error), rel=1e-3)
     for verification in (verified, over_wire):
         assert [target.note for target in verification.targets] == ["", ""]
         assert max(target.final_mm for target in verification.targets if target.final_mm is not None) < 0.1
-        assert verification.pairs[0].final_mm is not None
-        assert verification.pairs[0].final_mm < 0.1
+        assert sure(verification.pairs[0].final_mm) < 0.1
 
 
 # -- as a user does it -------------------------------------------------------------------------------------------------
@@ -157,8 +156,7 @@ def test_a_user_emulates_the_cell_in_one_shell_and_runs_it_in_another(tmp_path: 
         text=True,
     ) as emulator:
         try:
-            assert emulator.stdout is not None
-            said = [within(emulator.stdout.readline, "the addresses") for _ in range(4)]
+            said = [within(sure(emulator.stdout).readline, "the addresses") for _ in range(4)]
             assert [line.partition(":")[0] for line in said[:3]] == ["arm left", "arm right", "tracker"], said
             looked = call("doctor")
             assert looked.returncode == 0, looked.stdout + looked.stderr
@@ -191,14 +189,10 @@ ARM, RATE_HZ = "left", 200.0
 def served_cell() -> Profile:
     """The twin behind emulated devices."""
     twin = behind_bridge(small_twin(1, plan={"method": "random"}))
-    return twin.model_copy(
-        update={
-            "arms": {
-                name: arm.model_copy(update={"driver": UrSettings(host=HOSTS_OF_EMULATE_SWEEPS[name], watchdog_hz=2.0)})
-                for name, arm in twin.arms.items()
-            },
-            "collection": twin.collection.model_copy(update={"motion_rate": RATE_HZ}),
-        }
+    return altered(
+        twin,
+        arms={name: {"driver": UrSettings(host=HOSTS_OF_EMULATE_SWEEPS[name], watchdog_hz=2.0)} for name in twin.arms},
+        collection={"motion_rate": RATE_HZ},
     )
 
 

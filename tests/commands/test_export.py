@@ -25,6 +25,7 @@ from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.model import CellModel
 from tests.cell.exports import readers
 from tests.interfaces.plugins.installed import add_example, run_commands
+from tests.sure import sure
 from tests.twin import PROFILES, finished_twin
 from tests.verbs import export_as_run
 
@@ -57,13 +58,11 @@ def test_the_loss_is_what_the_whole_model_predicts_beside_the_file(finished_run:
     with RunFile.open(finished_run) as run:
         result = export_as_run(run, "dh", tmp_path / "left.yaml", "left")
         measured = run.readings("left").q
-    assert result.arms is not None
-    assert set(result.arms["left"].lost) == {"joint_compliance"}
+    assert set(sure(result.arms)["left"].lost) == {"joint_compliance"}
     arm = CellModel.load(finished_run / CALIBRATION_FILE).arms["left"]
     q = np.random.default_rng(9).uniform(measured.min(axis=0), measured.max(axis=0), (POSES, 6))
     off = np.linalg.norm(readers.dh((tmp_path / "left.yaml").read_text("utf-8"), q) - arm.predict(q), axis=1) * 1e3
-    stated = result.arms["left"].lost_together
-    assert stated is not None
+    stated = sure(sure(result.arms)["left"].lost_together)
     assert np.sqrt(np.mean(off**2)) == pytest.approx(stated.rms_mm, rel=0.1)
 
 
@@ -125,11 +124,10 @@ def test_the_cell_in_one_file_says_what_it_lacks_of_each_arm(finished_run: Path,
         result = export_as_run(run, "urdf-cell", tmp_path / "cell.urdf")
         with pytest.raises(InputError, match="writes all arms in one file; leave --arm out, or take --as urdf"):
             export_as_run(run, "urdf-cell", tmp_path / "one.urdf", "left")
-    assert result.arms is not None
     text = (tmp_path / "cell.urdf").read_text("utf-8")
     model = CellModel.load(finished_run / CALIBRATION_FILE)
     for name, arm in model.arms.items():
-        file = result.arms[name]
+        file = sure(result.arms)[name]
         assert file.file == str(tmp_path / "cell.urdf")
         for part, loss in file.lost.items():
             assert f"{part}: {loss.rms_mm:.3f} mm rms, {loss.max_mm:.3f} mm at most" in text

@@ -29,7 +29,8 @@ from cellapp.ground.progress import Progress
 from cellapp.ground.results import ISO9283
 from tests.cell.planning.planned_cells import one_arm
 from tests.interfaces.cli.conftest import exit_code
-from tests.twin import small_twin
+from tests.sure import sure
+from tests.twin import altered, small_twin
 
 
 @pytest.fixture(autouse=True)
@@ -41,8 +42,7 @@ def _few_orientations(monkeypatch: pytest.MonkeyPatch) -> None:
 def left_alone() -> Profile:
     """The left arm of the twin, without hidden effects."""
     profile = one_arm()
-    assert profile.plant is not None
-    return profile.model_copy(update={"plant": profile.plant.model_copy(update={"effects": {}})})
+    return altered(profile, plant={"effects": {}})
 
 
 def asked(run: RunFile, **options: Any) -> Iso9283Request:
@@ -71,8 +71,7 @@ def test_a_calibrated_run_is_tested_as_found_and_as_left(finished_copy: Path) ->
     assert max(one.accuracy.value_mm for one in pair.vector["calibrated"]) < 0.1
     assert {one.characteristic for one in result.judgements} == {"pose_accuracy", "pose_repeatability", "cooperative"}
     assert all("calibrated commands, 3 of 30 cycles" in one.source for one in result.judgements)
-    assert result.conditions is not None
-    assert result.conditions.commands == ("nominal", "calibrated")
+    assert sure(result.conditions).commands == ("nominal", "calibrated")
     titles = [table.title for table in iso9283_tables(result)]
     assert titles[0] == "Characteristics against their tolerances"
     assert "Pose accuracy AP and repeatability RP [mm]" in titles
@@ -120,8 +119,7 @@ def test_the_command_makes_one_test_in_a_new_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     profile = left_alone()
-    its_own = profile.tolerances.model_copy(update={"pose_accuracy": 0.05, "distance_accuracy": 1e-6})
-    path = saved(profile.model_copy(update={"tolerances": its_own}), tmp_path)
+    path = saved(altered(profile, tolerances={"pose_accuracy": 0.05, "distance_accuracy": 1e-06}), tmp_path)
     out = tmp_path / "result.json"
     assert exit_code(monkeypatch, "iso9283", "distance", path, "--run", tmp_path / "run") == 2  # a folder mistyped
     assert "holds no run" in capsys.readouterr().err

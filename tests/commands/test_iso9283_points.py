@@ -28,6 +28,7 @@ from cellapp.ground.profile.sections import Smr
 from tests.cell.planning.planned_cells import one_arm
 from tests.commands.test_iso9283 import asked, left_alone
 from tests.estimation.iso9283.test_driving import only_paths
+from tests.sure import sure
 
 Point = tuple[float, float, float]
 Rows = list[dict[str, str]]
@@ -100,8 +101,7 @@ def test_ad_and_rd_follow_from_the_points(tested: tuple[Iso9283Result, Path]) ->
 
 def test_drift_follows_from_the_points_and_their_times(tested: tuple[Iso9283Result, Path]) -> None:
     rows = rows_of(tested)
-    drift = left(tested).drift
-    assert drift is not None
+    drift = sure(left(tested).drift)
     (wanted,) = select(rows, "commanded", test="drift")
     groups = [select(rows, "measured", test="drift", group=str(k + 1)) for k in range(len(drift.groups))]
     found = [ap_rp_mm([xyz(r) for r in group], xyz(wanted)) for group in groups]
@@ -122,8 +122,7 @@ def crossing(track: list[Point], place: Point, normal: Point) -> Point:
             x, y, z = (a[k] + share * (b[k] - a[k]) for k in range(3))
             if best is None or math.dist((x, y, z), place) < math.dist(best, place):
                 best = x, y, z
-    assert best is not None
-    return best
+    return sure(best)
 
 
 def test_at_and_rt_follow_from_the_points(tested: tuple[Iso9283Result, Path]) -> None:
@@ -177,8 +176,7 @@ PROBE = {"rpy": [0.2, -0.1, 0.4], "sigma": SIGMA}
 def test_orientation_is_measured_stored_and_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(programme, "_SEEDS", 4)
     profile = one_arm()
-    assert profile.plant is not None
-    plant = profile.plant.model_copy(update={"effects": {}, "repeatability": 1e-4})
+    plant = sure(profile.plant).model_copy(update={"effects": {}, "repeatability": 1e-4})
     left = profile.arms["left"]
     smr = Smr.model_validate({**left.smr.model_dump(), "probe": PROBE})
     arms = {"left": left.model_copy(update={"smr": smr})}
@@ -215,8 +213,7 @@ def test_the_formulas_are_those_of_angles_about_the_base() -> None:
     off_B = np.array([1e-3, -2e-3, 5e-4]) + 1e-4 * rng.standard_normal((30, 3))
     attained = Rotation.from_rotvec(off_B @ base_M.T) * Rotation.from_matrix(commanded_M)
     quaternions = list(np.roll(attained.as_quat(), 1, axis=1))
-    found = orientation_characteristics(quaternions, commanded_M, base_M, [4e-5] * 30)
-    assert found is not None
+    found = sure(orientation_characteristics(quaternions, commanded_M, base_M, [4e-5] * 30))
     np.testing.assert_allclose(found.accuracy_mrad, 1e3 * off_B.mean(axis=0), rtol=1e-6)
     np.testing.assert_allclose(found.repeatability_mrad, 3e3 * off_B.std(axis=0, ddof=1), rtol=1e-6)
     assert orientation_characteristics(quaternions[:1], commanded_M, base_M, [4e-5]) is None

@@ -33,6 +33,7 @@ from cellapp.robot.kinematics.chain import smr_positions
 from tests.commands.moved_arms import OFFSET_S, RATE_PPM, SIGMA_M, add_arm, true_arm, write_recording
 from tests.interfaces.page.runs import without_devices
 from tests.program import app
+from tests.sure import sure
 from tests.verbs import export_as_run, import_new_run
 
 
@@ -96,8 +97,7 @@ def test_recordings_and_stops_of_two_arms(tmp_path: Path) -> None:
     assert [note for note in alone.notes if "tracker's frame" in note]
     assert set(both.arms["left"].validate_) == {"nominal", "geometry"}
     assert both.arms["left"].validate_["geometry"].position_mm.n == both.arms["left"].splits["validate"] < 30
-    in_motion = both.arms["left"].motion
-    assert in_motion is not None
+    in_motion = sure(both.arms["left"].motion)
     assert in_motion.stops_scatter_mm == pytest.approx(SIGMA_M * 1e3, rel=0.5)
     assert in_motion.validate_["geometry"].position_mm.rms < 0.1
     titles = [part.title for part in CALIBRATE.view(both).parts if isinstance(part, Table)]
@@ -199,11 +199,9 @@ def test_a_recording_teaches_and_the_comparison_is_said(moved: Path, monkeypatch
     with RunFile.open(moved, write=True) as run:
         assert run.profile.network.kind == "none"
         result = calibrate_run(run, network="batches")
-    network = result.arms["left"].network
-    assert network is not None
-    assert network.batches is not None
-    assert network.batches.readings > 2000
-    assert network.batches.blocks == 40
+    network = sure(result.arms["left"].network)
+    assert sure(network.batches).readings > 2000
+    assert sure(network.batches).blocks == 40
     assert ("network" in result.arms["left"].validate_) == network.used
     assert CalibrateResult.model_validate_json(result.to_json()) == result
     said = [part for part in VERB.view(result).parts if isinstance(part, str)]

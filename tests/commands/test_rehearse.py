@@ -33,6 +33,7 @@ from cellapp.ground.progress import ignore_words
 from drivers.arms.ur_settings import UrSettings
 from tests.commands.emulated_cell import emulated, patiently, quiet_work, stalled
 from tests.commands.test_emulate import CLI_HOSTS, PACE, wire_profile
+from tests.sure import sure
 
 pytestmark = pytest.mark.waits
 
@@ -124,8 +125,7 @@ def test_a_run_keeps_what_was_rehearsed_before_it_was_collected(tmp_path: Path) 
         keep_log(run)
         rehearsals_path(path).unlink()
         kept = kept_log(run)
-    assert kept is not None
-    section = log_section(kept)
+    section = log_section(sure(kept))
     assert section.message == "1 of 4 rungs passed before the readings were taken."
     (table,) = section.parts
     assert isinstance(table, Table)

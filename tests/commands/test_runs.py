@@ -44,10 +44,20 @@ from cellapp.ground.job_client import JOB_FILE
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Traceability, TraceableArm
 from cellapp.ground.results import DISCOVER
-from tests.cell.run.small_runs import SPOILED, add_stop, collected_run, planned_run, set_began, spoil_cut, two_arms
+from tests.cell.run.small_runs import (
+    SPOILED,
+    add_stop,
+    alter_file,
+    collected_run,
+    planned_run,
+    set_began,
+    spoil_cut,
+    two_arms,
+)
 from tests.commands.measured_runs import Truth, cell, measured_run, set_month
 from tests.interfaces.page.runs import without_devices
 from tests.program import app
+from tests.sure import sure
 from tests.twin import small_twin
 
 NEVER_WAITS_S = 5.0
@@ -191,10 +201,8 @@ def test_a_locked_run_is_a_row_at_once(tmp_path: Path) -> None:
 )
 def test_strange_content_is_a_row_too(tmp_path: Path, statement: str) -> None:
     folder = collected_run(tmp_path / "run", "complete", 4)
-    with contextlib.closing(sqlite3.connect(folder / "run.sqlite")) as connection:
-        with contextlib.suppress(sqlite3.IntegrityError):
-            connection.execute(statement)
-        connection.commit()
+    with contextlib.suppress(sqlite3.IntegrityError):
+        alter_file(folder, statement)
     (row,) = list_runs(tmp_path).runs
     assert row.run == str(folder)
     assert "\n" not in row.problem
@@ -257,8 +265,7 @@ def test_every_value_is_in_the_tables(two_runs: tuple[Path, Path]) -> None:
 
 def test_effects_in_one_run_only_and_in_both(finished_run: Path, finished_copy: Path) -> None:
     with RunFile.open(finished_copy, write=True) as run:
-        found = read_results(run).discover
-        assert found is not None
+        found = sure(read_results(run).discover)
         (backlash, *rest) = found.arms["right"].accepted
         changed = {
             name: value.model_copy(update={"value": 1.5 * value.value}) for name, value in backlash.parameters.items()
@@ -272,8 +279,7 @@ def test_effects_in_one_run_only_and_in_both(finished_run: Path, finished_copy: 
     twins = [value for value in result.arms["right"] if value.of.startswith(f"{backlash.title} (")]
     assert twins
     for value in twins:
-        assert value.a is not None
-        assert value.difference == pytest.approx(0.5 * value.a)
+        assert value.difference == pytest.approx(0.5 * sure(value.a))
     said = "\n".join(comparison_sentences(result))
     assert "is in a only" in said
     assert f"{backlash.title} (" in said

@@ -23,7 +23,8 @@ from cellapp.ground.results import CALIBRATE, COMPENSATE, DISCOVER, VERIFY
 from cellapp.interfaces.page.page import write_page
 from cellapp.interfaces.tui.keys import way_to, with_keys
 from cellapp.robot.model import CellModel
-from tests.twin import PROFILES, small_twin
+from tests.sure import sure
+from tests.twin import PROFILES, altered, small_twin
 from tests.verbs import push_run, report_run
 
 OLD_RUN = Path(__file__).parents[1] / "fixtures" / "run-schema-2"
@@ -99,7 +100,7 @@ def test_something_comes_next_while_anything_is_undecided_failed_or_out_of_date(
             found = {
                 name: arm.model_copy(update={"verdict": "ambiguous"}) for name, arm in results.discover.arms.items()
             }
-            changed = results.model_copy(update={"discover": results.discover.model_copy(update={"arms": found})})
+            changed = altered(results, discover={"arms": found})
             monkeypatch.setattr("cellapp.commands.next_step.read_results", lambda run, stages: changed)
         elif change == "out of date":
             append_stage(run, COMPENSATE, results.compensate, basis_of(run).model_copy(update={"profile": "changed"}))
@@ -124,10 +125,8 @@ def test_every_stage_states_what_it_rests_on(finished_run: Path) -> None:
         assert calibrate.basis.readings["left"].sha256 == readings_digest(run.readings("left"))
         assert calibrate.basis.readings["left"].n == 120
         assert calibrate.basis.stages == {}
-        assert discover.basis is not None
-        assert discover.basis.stages == {"calibrate": calibrate.digest}
-        verify = stages.current[VERIFY].basis
-        assert verify is not None
+        assert sure(discover.basis).stages == {"calibrate": calibrate.digest}
+        verify = sure(stages.current[VERIFY].basis)
         assert verify.stages == {"discover": discover.digest}
         assert verify.targets is not None
         exported = json.loads((finished_run / CALIBRATION_FILE).read_text("utf-8"))["provenance"]
@@ -141,15 +140,12 @@ def test_the_calibration_keeps_its_own_model_and_is_shown_with_the_effects(finis
         stored = json.loads(calibrate.text)
         assert all("effects" not in arm["validate"] for arm in stored["arms"].values())
         assert "effects" not in stored["pair"]
-        assert calibrate.model is not None
-        assert not any(arm.effects for arm in CellModel.from_json(calibrate.model).arms.values())
+        assert not any(arm.effects for arm in CellModel.from_json(sure(calibrate.model)).arms.values())
         shown = read_results(run)
-    assert shown.calibrate is not None
-    assert shown.discover is not None
-    for name, arm in shown.calibrate.arms.items():
+    for name, arm in sure(shown.calibrate).arms.items():
         assert arm.best_stage == "effects"
-        assert arm.validate_["effects"] == shown.discover.arms[name].validate_["effects"]
-    assert shown.calibrate.pair["effects"] == shown.discover.pair["effects"]
+        assert arm.validate_["effects"] == sure(shown.discover).arms[name].validate_["effects"]
+    assert sure(shown.calibrate).pair["effects"] == sure(shown.discover).pair["effects"]
     assert slugs(finished_run) == {"left": ["joint_compliance"], "right": ["backlash"]}
 
 

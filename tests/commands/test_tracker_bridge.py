@@ -24,6 +24,7 @@ from drivers.settings import SettingError
 from drivers.trackers.bridge import BridgeTracker
 from drivers.trackers.bridge_token import read_token
 from drivers.trackers.protocol import Preparation, TargetLost, TrackerRefused
+from tests.approved import assert_refused
 from tests.commands.emulated_cell import behind_bridge, on_free_ports
 from tests.twin import small_twin, write_profile
 from tests.waiting import WAIT_S
@@ -141,24 +142,12 @@ def written(folder: Path, driver: str) -> Path:
     return path
 
 
-@pytest.mark.parametrize(
-    ("driver", "why"),
-    [
-        ("{kind: bridge}", r"tracker\.driver\.url: missing"),
-        ('{kind: bridge, url: "socket://127.0.0.1"}', "expected socket://host:port, as socket://192.168.0.20:50960"),
-        ('{kind: bridge, url: "socket://host:99999"}', "expected socket://host:port"),
-        ('{kind: bridge, url: "socket://user:word@host:1"}', "expected socket://host:port"),
-        ('{kind: bridge, url: "http://host:80"}', "pyserial has no http; write socket://host:port"),
-        ("{kind: bridge, url: COM3, token: abc}", "unknown key; did you mean 'token_env'"),
-        ("{kind: bridge, url: COM3, token_file: secret.txt}", "an absolute path, or one that begins with ~"),
-        ("{kind: bridge, url: COM3, token_file: /a, token_env: B}", "token_file gives the token already"),
-        ("{kind: bridge, url: COM3, timeout: 0.1}", "expected at least 2"),
-        ("{kind: bridge, url: COM3, accuracy: best}", "expected 'fast', 'standard' or 'precise'"),
-    ],
-)
-def test_settings_that_cannot_be_are_refused_in_words(tmp_path: Path, driver: str, why: str) -> None:
-    with pytest.raises(InputError, match=why):
-        load_profile(written(tmp_path, driver))
+def test_settings_that_cannot_be_are_refused_as_approved(tmp_path: Path) -> None:
+    assert_refused(
+        Path(__file__).parent / "approved" / "bridge-settings.txt",
+        lambda driver: load_profile(written(tmp_path, driver)),
+        tmp_path,
+    )
 
 
 # -- doctor, emulation -------------------------------------------------------------------------------------------------

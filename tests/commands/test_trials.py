@@ -6,8 +6,6 @@ import hashlib
 import json
 import re
 import shutil
-import sqlite3
-import sys
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -28,14 +26,15 @@ from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.ground.executors import PoolWork
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Cancelled, JobToken, Progress
-from cellapp.interfaces import cli
 from cellapp.robot.effects import EFFECTS
 from cellapp.robot.kinematics.chain import JointAngles, jacobian, parameter_names, smr_positions
 from cellapp.robot.kinematics.transforms import transform
 from cellapp.robot.model.nominal import nominal_arm
 from drivers.plant import OUTSIDE, REALISTIC
 from tests.approved import assert_approved, commands_of
-from tests.twin import PROFILES, small_twin
+from tests.cell.run.small_runs import alter_file
+from tests.interfaces.cli.conftest import exit_code
+from tests.twin import PROFILES, altered, small_twin
 
 STOPS, SEED = 36, 5
 ROWS = {"identify": 12, "train": 12, "validate_": 12, "pair_identify": 6, "pair_validate": 6}
@@ -44,12 +43,7 @@ ROWS = {"identify": 12, "train": 12, "validate_": 12, "pair_identify": 6, "pair_
 def small() -> Profile:
     """The twin with few stops, and few simulations to set the threshold from."""
     profile = small_twin(STOPS, plan={"method": "random"})
-    return profile.model_copy(
-        update={
-            "splits": profile.splits.model_copy(update=ROWS),
-            "discovery": profile.discovery.model_copy(update={"null_simulations": 20}),
-        }
-    )
+    return altered(profile, splits=ROWS, discovery={"null_simulations": 20})
 
 
 @pytest.fixture(scope="module")
@@ -96,12 +90,7 @@ def call(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, *arguments: object
 ) -> tuple[int, str, str]:
     """Exit code, standard output and standard error of a command."""
-    monkeypatch.setattr(sys, "argv", ["cellapp", *map(str, arguments)])
-    code = 0
-    try:
-        cli.main()
-    except SystemExit as ended:
-        code = int(ended.code or 0)
+    code = exit_code(monkeypatch, *arguments)
     captured = capsys.readouterr()
     return code, captured.out, captured.err
 
@@ -239,10 +228,8 @@ def test_a_changed_truth_breaks_the_seal(mine: Path, place: float) -> None:
 
 def test_changed_readings_are_reported(judged_once: tuple[Path, list[str], JudgeResult], tmp_path: Path) -> None:
     folder = Path(shutil.copytree(judged_once[0], tmp_path / "trials"))
-    connection = sqlite3.connect(folder / "run-0002" / "run.sqlite")
-    connection.execute("UPDATE reading SET p_m = '[3.0, 0.5, -0.25]' WHERE arm = 'right' AND configuration = 7")
-    connection.commit()
-    connection.close()
+    moved = "UPDATE reading SET p_m = '[3.0, 0.5, -0.25]' WHERE arm = 'right' AND configuration = 7"
+    alter_file(folder / "run-0002", moved)
     with pytest.raises(CheckFailed, match="run-0002: its readings are not those that were sealed"):
         judge_trials(folder, PoolWork())
     shutil.rmtree(folder / "run-0002")
@@ -307,12 +294,8 @@ def test_a_run_that_fails_is_reported_and_does_not_stop_the_others(
 ) -> None:
     folder = Path(shutil.copytree(judged_once[0], tmp_path / "trials"))
     for name in ("run-0001", "run-0003"):
-        connection = sqlite3.connect(folder / name / "run.sqlite")
-        connection.execute("DELETE FROM result WHERE name = ?", (TRIAL_RESULT,))
-        if name == "run-0001":  # all stops in one split leave none to validate
-            connection.execute("UPDATE reading SET split = 'identify'")
-        connection.commit()
-        connection.close()
+        alter_file(folder / name, "DELETE FROM result WHERE name = ?", TRIAL_RESULT)
+    alter_file(folder / "run-0001", "UPDATE reading SET split = 'identify'")  # which leaves none to validate
     result = judge_trials(folder, PoolWork())
     assert len(result.failed) == 1
     assert result.failed[0].startswith(
@@ -459,8 +442,7 @@ def test_few_clean_arms_meet_no_target_and_many_do() -> None:
 def quick_twin(name: str = "twin") -> Profile:
     """A profile whose search sets its threshold from few simulations."""
     profile = load_profile(PROFILES / f"{name}.yaml")
-    discovery = profile.discovery.model_copy(update={"null_simulations": 20})
-    return profile.model_copy(update={"discovery": discovery})
+    return altered(profile, discovery={"null_simulations": 20})
 
 
 # -- conditions -------------------------------------------------------------------------------------------------------

@@ -10,39 +10,12 @@ import numpy as np
 import pytest
 
 from drivers.plant import ArmConfig, CapsuleConfig, Plant, PlantConfig, TrackerConfig, TrueErrors
+from tests.arms import UR5, UR5_CENTERS, UR5_MASSES, UR10, UR10_CENTERS, UR10_MASSES
 
-_ALPHA = [np.pi / 2, 0.0, 0.0, np.pi / 2, -np.pi / 2, 0.0]
-_TABLES: dict[str, dict[str, Any]] = {
-    "ur10": {
-        "d": [0.1273, 0, 0, 0.163941, 0.1157, 0.0922],
-        "a": [0, -0.612, -0.5723, 0, 0, 0],
-        "masses": [7.1, 12.7, 4.27, 2.0, 2.0, 0.365],
-        "centers": [
-            [0.021, 0, 0.027],
-            [0.38, 0, 0.158],
-            [0.24, 0, 0.068],
-            [0, 0.007, 0.018],
-            [0, 0.007, 0.018],
-            [0, 0, -0.026],
-        ],
-    },
-    "ur5": {
-        "d": [0.089159, 0, 0, 0.10915, 0.09465, 0.0823],
-        "a": [0, -0.425, -0.39225, 0, 0, 0],
-        "masses": [3.7, 8.393, 2.33, 1.219, 1.219, 0.1879],
-        "centers": [
-            [0, -0.02561, 0.00193],
-            [0.2125, 0, 0.11336],
-            [0.15, 0, 0.0265],
-            [0, -0.0018, 0.01634],
-            [0, 0.0018, 0.01634],
-            [0, 0, -0.001159],
-        ],
-    },
-}
+_TABLES = {"ur10": (UR10, UR10_MASSES, UR10_CENTERS), "ur5": (UR5, UR5_MASSES, UR5_CENTERS)}
 
 
-def _capsules(a: list[float]) -> tuple[CapsuleConfig, ...]:
+def _capsules(a: np.ndarray) -> tuple[CapsuleConfig, ...]:
     return (
         CapsuleConfig(0, np.zeros(3), np.array([0.0, 0.0, 0.1]), 0.08),
         CapsuleConfig(2, np.zeros(3), np.array([-a[1], 0.0, 0.0]), 0.07),
@@ -56,12 +29,12 @@ def make_arm() -> Callable[..., ArmConfig]:
     """``make_arm(kind, name, x, **changes)``: a UR10 or UR5 at x on a 0.5 m table, its SMR visible from everywhere."""
 
     def make(kind: str = "ur10", name: str = "left", x: float = 0.0, **changes: Any) -> ArmConfig:
-        table = _TABLES[kind]
+        rows, masses, centers = _TABLES[kind]
         pose = np.eye(4)
         pose[:3, 3] = x, 0.0, 0.5
         values: dict[str, Any] = {
             "name": name,
-            "rows": np.column_stack([np.zeros(6), table["d"], table["a"], _ALPHA]),
+            "rows": rows,
             "limits": np.tile([-2 * np.pi, 2 * np.pi], (6, 1)),
             "speed": np.full(6, 2.0),
             "acceleration": np.full(6, 3.0),
@@ -69,9 +42,9 @@ def make_arm() -> Callable[..., ArmConfig]:
             "smr_offset": np.array([0.04, 0.03, 0.05]),
             "smr_normal": np.array([0.0, 0.0, 1.0]),
             "smr_acceptance": np.pi,
-            "masses": np.array(table["masses"]),
-            "centers_of_mass": np.array(table["centers"]),
-            "capsules": _capsules(table["a"]),
+            "masses": masses,
+            "centers_of_mass": centers,
+            "capsules": _capsules(rows[:, 2]),
         }
         return ArmConfig(**(values | changes))
 

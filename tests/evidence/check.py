@@ -32,6 +32,7 @@ from drivers.plant.random_effects import suggest
 from tests.evidence.shared.cells import TWIN
 from tests.evidence.shared.changes import Changed, parameter_plant, shifted_plant, worn_plant
 from tests.evidence.skeleton import Evidence, Limit, Share, Table
+from tests.twin import altered
 from tests.verbs import check_run, opened_by
 
 TITLE = "Check"
@@ -112,7 +113,6 @@ def checks_of(run: RunFile, case: Mapping[str, Any]) -> list[dict[str, Any]]:
 def _cell(case: Mapping[str, Any]) -> Profile:
     """Return the twin with hidden effects, geometry and noise drawn by the seed."""
     twin, stops, seed = load_profile(TWIN), case["stops"], case["seed"]
-    assert twin.plant is not None
     rng = np.random.default_rng([seed, 0x41D])
     hidden = {
         name: {
@@ -123,16 +123,13 @@ def _cell(case: Mapping[str, Any]) -> Profile:
     quarter = stops // 4
     train = 2 * quarter if case["model"] == "network" else 1
     splits = {"identify": 3 * quarter - train, "train": train, "validate_": stops - 3 * quarter}
-    return twin.model_copy(
-        update={
-            "seed": seed,
-            "plan": twin.plan.model_copy(update={"stops": stops}),
-            "plant": twin.plant.model_copy(
-                update={"seed": seed, "effects": hidden, "repeatability": REPEATABILITY_RAD}
-            ),
-            "splits": twin.splits.model_copy(update={**splits, "pair_identify": quarter, "pair_validate": quarter}),
-            "network": twin.network.model_copy(update={"kind": "mlp" if case["model"] == "network" else "none"}),
-        }
+    return altered(
+        twin,
+        seed=seed,
+        plan={"stops": stops},
+        plant={"seed": seed, "effects": hidden, "repeatability": REPEATABILITY_RAD},
+        splits={**splits, "pair_identify": quarter, "pair_validate": quarter},
+        network={"kind": "mlp" if case["model"] == "network" else "none"},
     )
 
 
@@ -179,8 +176,7 @@ def summary(results: list[dict[str, Any]], asked: argparse.Namespace) -> Evidenc
     rows = [_row(kind, [one for one in checks if one["kind"] == kind]) for kind in (UNCHANGED, *KINDS)]
     same, changed = ([one for one in checks if (one["kind"] == UNCHANGED) is same] for same in (True, False))
     figures = {"valid": str(_right(same)), "found": str(_right(changed))}
-    figures["named"] = str(Share.of(one["named"] for one in changed))
-    figures |= {f"{name}_stops": _mean_stops(some) for name, some in (("valid", same), ("found", changed))}
+    figures |= {"named": str(Share.of(one["named"] for one in changed)), "found_stops": _mean_stops(changed)}
     shares = (("unchanged cells valid", LEAST_VALID, same), ("changes found", LEAST_FOUND, changed))
     limits = [
         Limit(f"{words}, {model}", share.hits / share.n, least=least)

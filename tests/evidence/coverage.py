@@ -59,14 +59,13 @@ def one(case: dict[str, Any]) -> dict[str, Any]:
 
 
 def summary(results: list[dict[str, Any]], asked: argparse.Namespace) -> Evidence:
-    rows, limits, figures = [], [], {}
+    rows, limits = [], []
     for arm in dict.fromkeys(found["arm"] for found in results):
         own = [found for found in results if found["arm"] == arm]
         every = [held for found in own for held in found["held"]]
         share = Share(sum(every), len(every))
         scatter = float(np.mean([found["scatter"] for found in own]))
         rows.append([arm, str(len(own)), str(share), f"{100 * share.hits / share.n:.1f} %", f"{scatter:.3f}"])
-        figures[arm] = f"{100 * share.hits / share.n:.1f} %"
         limits.append(Limit(f"{arm}, share", share.hits / share.n, MOST, LEAST))
     columns = ["arm", "runs", "intervals that hold the truth", "share", "root of chi-square per degree of freedom"]
-    return Evidence(figures, [Table("", columns, rows)], limits)
+    return Evidence(tables=[Table("", columns, rows)], limits=limits)

@@ -22,6 +22,7 @@ from cellapp.robot.model import ArmModel
 from tests.evidence.shared.cells import TWIN, measured_plan, sampled_cell
 from tests.evidence.shared.series import load_entrant
 from tests.evidence.skeleton import Evidence, Limit, Table
+from tests.twin import altered
 
 TITLE = "Gross errors"
 MOST = 1.03
@@ -79,7 +80,7 @@ def arms(seed: int, *, train: bool = False) -> Iterator[Arm]:
 
 def simulated(profile: Profile, seed: int) -> dict[str, Readings]:
     """Clean readings of a simulated cell."""
-    planned = profile.model_copy(update={"plan": profile.plan.model_copy(update={"stops": _STOPS})})
+    planned = altered(profile, plan={"stops": _STOPS})
     return measured_plan(planned, plan_stops(planned), seed)
 
 

@@ -110,8 +110,7 @@ def summary(results: list[dict[str, Any]], asked: argparse.Namespace) -> Evidenc
                 lost += len(common - {name for one in sizes[other] for name in one["names"]})
     limits.append(Limit("names found at n in every draw and at 4 n or more in none", lost, 0))
     columns = ["series", "n", "draws", "geometry [mm]", "discovered [mm]", "named in every draw", "processor time"]
-    figures = {f"{row[0]} {row[1]}": row[4] for row in rows}
-    return Evidence(figures, [Table("", columns, rows)], limits)
+    return Evidence(tables=[Table("", columns, rows)], limits=limits)
 
 
 def _mean(errors: Sequence[Sequence[float]]) -> tuple[float, float]:

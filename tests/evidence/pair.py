@@ -19,6 +19,8 @@ from cellapp.estimation.discovery.discover import discover_cell
 from cellapp.robot.kinematics.transforms import rotation_vectors, rotations_of
 from tests.evidence.shared.cells import TWIN, measured_plan, sampled_cell
 from tests.evidence.skeleton import Evidence, Limit, Share, Table
+from tests.sure import sure
+from tests.twin import altered
 
 TITLE = "Two arms with probes"
 MOST_TIMES, LEAST, MOST = 1.2, 0.93, 0.97
@@ -32,7 +34,7 @@ def cases(asked: argparse.Namespace) -> dict[str, dict[str, Any]]:
 def one(case: dict[str, Any]) -> dict[str, Any]:
     """Learn one cell; compare the computed with the measured pose of the right flange seen from the left one."""
     profile = sampled_cell(load_profile(TWIN.with_name("twin-6d.yaml")), seed := case["seed"])
-    profile = profile.model_copy(update={"network": profile.network.model_copy(update={"kind": "none"})})
+    profile = altered(profile, network={"kind": "none"})
     readings = measured_plan(profile, plan_stops(profile), seed)
     models = discover_cell(profile, calibrate_readings(profile, readings).model, readings).model.arms
     another = {"seed": seed + 1000, "plan": profile.plan.model_copy(update={"stops": 100})}
@@ -41,15 +43,13 @@ def one(case: dict[str, Any]) -> dict[str, Any]:
     sides, poses, variances = [], [], []
     for name, home in home_positions(profile).items():
         arm, its, here = models[name], judged[name], conditions[name]
-        assert its.quaternion_M is not None
-        assert its.sigma_rad is not None
-        variances.append(np.mean(its.sigma_rad**2))
+        variances.append(np.mean(sure(its.sigma_rad) ** 2))
         ranges = ConditionRanges.of(readings[name], arm)
         positions = predictions(arm, its.q, here, none, home, ranges)
         rotations = predicted_rotations(arm, its.q, its.q, here, np.full((100, 3, 3), np.nan), none, home, ranges)
         sides.append(Predicted(arm, its.q, here, home, positions, rotations))
         computed = arm.predict(its.q, conditions=here), arm.orientation(its.q, here)
-        poses.append(((its.p_M, rotations_of(its.quaternion_M)), computed))
+        poses.append(((its.p_M, rotations_of(sure(its.quaternion_M))), computed))
     (seen, rotated), (wanted, computed) = (
         (np.einsum("nji,nj->ni", R_1, p_2 - p_1), R_1.swapaxes(1, 2) @ R_2)
         for (p_1, R_1), (p_2, R_2) in zip(*poses, strict=True)

@@ -85,7 +85,7 @@ def _fit(problem: Case, case: dict[str, Any], folder: Path) -> dict[str, Any]:
 
 
 def summary(results: list[dict[str, Any]], asked: argparse.Namespace) -> Evidence:
-    tables, limits, figures = [], [], dict[str, str]()
+    tables, limits = [], []
     for (name, n), some in grouped(((its["case"], its["n"]), its) for its in results).items():
         rows = [
             Row(
@@ -98,12 +98,10 @@ def summary(results: list[dict[str, Any]], asked: argparse.Namespace) -> Evidenc
         tables.append(Table(f"Case {name}, {n} configurations", COLUMNS, lines_of(rows, n)))
         by_name = {row.solver: row for row in rows if row.fits}
         others = [row for row in by_name.values() if row.solver not in (OURS, OURS_PLAIN)]
-        if OURS in by_name and others:
+        if OURS in by_name and others and n == 400:
             ours = by_name[OURS]
             lstsq = float(np.median([fit.seconds / fit.floor_s for fit in ours.fits if fit.floor_s]))
             faster = min(row.seconds for row in others) / ours.seconds
-            figures |= {f"{name}_{n}_lstsq": f"{lstsq:.1f}", f"{name}_{n}_faster": f"{faster:.0f}"}
-            if n == 400:
-                limits.append(Limit(f"{name}, over lstsq", lstsq, MOST_LSTSQ))
-                limits.append(Limit(f"{name}, fastest other over cellapp", faster, least=LEAST_FASTER))
-    return Evidence(figures, tables, limits)
+            limits.append(Limit(f"{name}, over lstsq", lstsq, MOST_LSTSQ))
+            limits.append(Limit(f"{name}, fastest other over cellapp", faster, least=LEAST_FASTER))
+    return Evidence(tables=tables, limits=limits)

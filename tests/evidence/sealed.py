@@ -16,7 +16,7 @@ import numpy as np
 
 from cellapp.cell.profile import load_profile
 from cellapp.commands.trials.judge import judge_trials
-from cellapp.commands.trials.scoring import ACCEPTED, JudgeResult, PosteriorScore, ScoredRun, posterior_scores
+from cellapp.commands.trials.scoring import ACCEPTED, JudgeResult, ScoredRun, posterior_scores
 from cellapp.commands.trials.sealed import seal_trials
 from cellapp.commands.trials.sealed_setup import HARD, MIXED, NONE, ONE, OUT, PAIR, Setup
 from cellapp.ground.executors import PoolWork
@@ -77,7 +77,7 @@ def summary(results: list[dict[str, Any]], asked: argparse.Namespace) -> Evidenc
     every = [run for some in runs.values() for run in some]
     rows = [_row(f"{name}, {len(some)} runs", some) for name, some in {**runs, "total": every}.items()]
     columns = ["set", "false names", "exact names", "second names", "outside, not named", "accepted names"]
-    false, exact, second, _ = _shares(every)
+    false, _, second, _ = _shares(every)
     scores = {score.about: score for score in posterior_scores(every)}
     limits = [
         Limit("false names", false.hits / max(false.n, 1), MOST_FALSE),
@@ -86,21 +86,8 @@ def summary(results: list[dict[str, Any]], asked: argparse.Namespace) -> Evidenc
     if ACCEPTED in scores:
         limits.append(Limit("Brier score of accepted names", scores[ACCEPTED].brier, MOST_BRIER))
     seconds = [arm.seconds for run in every for arm in run.arms.values()]
-    wrong = [
-        [run.hidden_names, ", ".join(run.findings.accepted) or "nothing"]
-        for run in every
-        if run.visible and run.expected is None and run.outcome != "named"
-    ]
-    return Evidence(
-        {"exact": f"{exact.hits} of {exact.n}", "false": f"{false.hits} of {false.n}"},
-        [
-            Table("", [*columns, "Brier score"], rows),
-            *([_reliability(scores[ACCEPTED])] if ACCEPTED in scores else []),
-            *([Table("Visible effects that were not named exactly", ["hidden", "accepted"], wrong)] if wrong else []),
-        ],
-        limits,
-        [f"Discovery of an arm: median {np.median(seconds):.1f} s, longest {max(seconds):.1f} s by the clock."],
-    )
+    said = f"Discovery of an arm: median {np.median(seconds):.1f} s, longest {max(seconds):.1f} s by the clock."
+    return Evidence(tables=[Table("", [*columns, "Brier score"], rows)], limits=limits, said=[said])
 
 
 def _shares(runs: list[ScoredRun]) -> tuple[Share, Share, Share, Share]:
@@ -117,15 +104,3 @@ def _row(name: str, runs: list[ScoredRun]) -> list[str]:
     accepted = next((score for score in posterior_scores(runs) if score.about == ACCEPTED), None)
     brier = ["0", ""] if accepted is None else [str(accepted.n), f"{accepted.brier:.3f}"]
     return [name, *map(str, _shares(runs)), *brier]
-
-
-def _reliability(score: PosteriorScore) -> Table:
-    rows = [
-        [
-            *(f"{one.low:.1f} to {one.high:.1f}", str(one.n)),
-            *("" if value is None else f"{value:.3f}" for value in (one.stated, one.true)),
-        ]
-        for one in score.bins
-    ]
-    title = f"Stated probabilities, {score.about}: Brier score {score.brier:.3f}"
-    return Table(title, ["stated", "n", "mean stated", "true"], rows)

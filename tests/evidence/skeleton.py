@@ -24,8 +24,8 @@ FOLDER = Path(__file__).parent
 ROOT = FOLDER.parents[1]
 RESULTS = FOLDER / "results"
 NO_PROGRAMS = ("__init__", "__main__", "page", "skeleton")
-PACKED = {"wire": "wire.attacks"}
-"""Programs that stand in a package of their name."""
+PACKED = {"wire": "wire.attacks", **{name: f"wire.{name}" for name in ("bridge", "presses", "storm")}}
+"""Programs that stand in a package."""
 
 
 @dataclass(frozen=True)

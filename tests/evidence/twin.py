@@ -57,10 +57,5 @@ def summary(results: list[dict[str, Any]], asked: argparse.Namespace) -> Evidenc
     rows.append(["effects found", *(", ".join(its["accepted"]) for its in arms.values())])
     for place, title in enumerate(("new targets, uncompensated", "new targets, compensated")):
         rows.append([title, *(f"{its['targets'][place]:.3f} mm" for its in arms.values())])
-    figures = {
-        f"{name}_{key}": f"{value:.3f}"
-        for name, its in arms.items()
-        for key, value in zip(("nominal", "compensated"), its["targets"], strict=True)
-    }
     limits = [Limit(f"{name}, compensated [mm]", its["targets"][1], MOST_MM) for name, its in arms.items()]
-    return Evidence(figures, [Table("", ["held-out mean position error", *arms], rows)], limits)
+    return Evidence(tables=[Table("", ["held-out mean position error", *arms], rows)], limits=limits)

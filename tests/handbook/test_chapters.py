@@ -13,13 +13,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 import cellapp.docs
-from cellapp.cell.exports.formats import all_formats
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run.sqlite_file import SCHEMA_VERSION, create_tables
 from cellapp.commands.docs.handbook import (
@@ -40,7 +38,6 @@ from cellapp.estimation.discovery.plan_forecast import nominal_model
 from cellapp.estimation.readings.columns import COLUMNS
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile.schema import Profile
-from cellapp.ground.profile.sections import Tolerances
 from cellapp.ground.results import STAGE_NAMES
 from cellapp.interfaces.tui.screens import SCREENS
 from cellapp.robot.effects import EFFECTS
@@ -50,11 +47,12 @@ from cellapp.robot.model import CellModel
 from cellapp.robot.model.nominal import nominal_arm
 from tests.evidence.skeleton import Limit, Share, programs, stated_results
 from tests.handbook import chapters
-from tests.handbook.chapters import ROOT, blocks, chapter_path
+from tests.handbook.chapters import ROOT, chapter_path
 from tests.handbook.declarations import with_declarations
 from tests.handbook.page_pictures import PICTURES
 from tests.interfaces.plugins.installed import EXAMPLE, REGISTRIES, add_example, installed
 from tests.program import app
+from tests.sure import sure
 from tests.twin import PROFILES, whole_twin
 
 README = Path(__file__).parents[2] / "README.md"
@@ -389,14 +387,8 @@ def test_the_tables_of_a_run_file_are_those_that_are_made() -> None:
             as_reading = described["`reading`"] if "as `reading`" in described[f"`{table}`"] else ""
             words = re.findall(r"`(\w+)`", as_reading + described[f"`{table}`"])
             assert set(columns) <= set(words), table
-    listed = re.search(r"names in `stage` are ([^.]+)\.", chapter_text("files"))
-    assert listed is not None
+    listed = sure(re.search(r"names in `stage` are ([^.]+)\.", chapter_text("files")))
     assert tuple(listed[1].replace("\n", " ").split(", ")) == STAGE_NAMES
-
-
-def test_every_format_is_listed() -> None:
-    listed = set(re.findall(r"`([\w-]+)`", chapter_text("exports")))
-    assert set(all_formats()) <= listed
 
 
 def test_the_model_file_has_the_keys_that_are_listed() -> None:
@@ -438,8 +430,3 @@ def _about_x(row: Array) -> Array:
 def test_every_section_is_described() -> None:
     missing = [title for title, *_ in SECTIONS.values() if title.split(",")[0] not in chapter_text("report")]
     assert not missing
-
-
-def test_the_tolerances_are_a_section_of_a_profile() -> None:
-    (example,) = blocks("report", "yaml")
-    assert Tolerances.model_validate(yaml.safe_load(example)["tolerances"]).any_given

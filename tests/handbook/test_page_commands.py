@@ -19,7 +19,6 @@ from cellapp.cell.driving.iso9283.tests import IsoTask
 from cellapp.cell.exports.formats import all_formats
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
-from cellapp.cell.targets.targets import load_targets
 from cellapp.commands.compensate.words import PART_WORDS, advice
 from cellapp.commands.docs.handbook import chapter_text
 from cellapp.commands.iso9283 import run as verb
@@ -31,7 +30,8 @@ from cellapp.interfaces.tui.screens import SCREENS
 from tests.handbook.chapters import blocks
 from tests.handbook.screen_pictures import write_screens
 from tests.program import app
-from tests.twin import PROFILES, small_twin
+from tests.sure import sure
+from tests.twin import PROFILES
 
 # -- What the chapter about Python says that mistakes are answered with. ``test_commands`` runs its examples -----------
 
@@ -65,14 +65,6 @@ def test_every_screen_is_drawn(finished_run: Path, tmp_path: Path) -> None:
 # -- The lists and the words on the page about targets -----------------------------------------------------------------
 
 PAGE = chapter_text("targets")
-
-
-def test_the_lists_are_lists_of_targets(tmp_path: Path) -> None:
-    profile = small_twin()
-    for language in ("yaml", "csv"):
-        path = tmp_path / f"list.{language}"
-        path.write_text(blocks("targets", language)[0], encoding="utf-8")
-        assert load_targets(path, profile)
 
 
 def test_the_page_has_every_part_of_an_uncertainty_and_the_advice_that_is_printed() -> None:
@@ -146,8 +138,7 @@ def test_the_commands_of_the_check_find_what_the_page_says(
     monkeypatch.chdir(tmp_path)
     shutil.copytree(finished_run, "logs/my-run")
     with RunFile.open(Path("logs/my-run")) as run:
-        assert run.profile.plant is not None
-        path = changed_profile(tmp_path / "profiles", run.profile.plant)
+        path = changed_profile(tmp_path / "profiles", sure(run.profile.plant))
     ends = []
     for line in (line for line in "".join(blocks("check", "sh")).splitlines() if " check" in line):
         program, *arguments = shlex.split(line.replace("changed.yaml", str(path)))

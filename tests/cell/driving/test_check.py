@@ -39,7 +39,8 @@ from cellapp.interfaces.page.page import write_page
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import CellModel
 from drivers.trackers.simulated import SimulatedTracker
-from tests.twin import PROFILES, plant_of, small_twin
+from tests.sure import sure
+from tests.twin import PROFILES, opening, plant_of, small_twin, with_arm
 from tests.verbs import Opened, collect_stops, locate_run, opened_by, push_run, report_run
 
 
@@ -178,9 +179,8 @@ SOME = (*TARGETS[:6], *TARGETS[20:26])
 
 def away(pose: Pose | None, by: tuple[float, float, float], rotation: tuple[float, float, float]) -> Pose:
     """A pose moved by ``by`` [m], and turned by ``rotation`` [rad] of roll, pitch and yaw."""
-    assert pose is not None
-    x, y, z = (a + b for a, b in zip(pose.position, by, strict=True))
-    roll, pitch, yaw = (a + b for a, b in zip(pose.rpy, rotation, strict=True))
+    x, y, z = (a + b for a, b in zip(sure(pose).position, by, strict=True))
+    roll, pitch, yaw = (a + b for a, b in zip(sure(pose).rpy, rotation, strict=True))
     return Pose(position=(x, y, z), rpy=(roll, pitch, yaw))
 
 
@@ -212,11 +212,6 @@ def changed_plant(monkeypatch: pytest.MonkeyPatch, change: Callable[[Profile], P
     monkeypatch.setattr("cellapp.cell.driving.supervision.open_cell", opened)
 
 
-def with_left(profile: Profile, **changes: Any) -> Profile:
-    left = profile.arms["left"].model_copy(update=changes)
-    return profile.model_copy(update={"arms": {**profile.arms, "left": left}})
-
-
 def swap_splits(run: RunFile) -> None:
     """Let one reading of each arm validate that identified, and the other way round."""
     for name in run.profile.arms:
@@ -231,16 +226,14 @@ def test_four_points_find_the_station_within_its_stated_uncertainty(moved_run: t
     assert (found.verdict, found.moved, found.complaints()) == ("located", True, [])
     assert found.by_arm == {"left": 2, "right": 2}
     assert found.shift_mm == pytest.approx(500.4, abs=0.1)
-    truth = found.simulated_pose
-    assert truth is not None
+    truth = sure(found.simulated_pose)
     np.testing.assert_allclose(found.tracker_pose.position, truth.position, atol=0.3e-3)
     assert found.points[0].found_off_mm > 10.0
     assert found.points[-1].found_off_mm < 1.0
     assert found.degrees_of_freedom == 6
     assert 0.0 < found.uncertainty_mm < 0.02
     model = CellModel.load(run.folder / CALIBRATION_FILE)
-    assert model.T_M_M0 is not None
-    np.testing.assert_allclose(model.T_M_M0, found.T_new_old)
+    np.testing.assert_allclose(sure(model.T_M_M0), found.T_new_old)
     table, *_ = location_tables(found)
     assert len(table.rows) == 4
     assert location_sentences(found)[0].startswith("the tracker was moved 500.")
@@ -255,8 +248,7 @@ def test_targets_are_met_from_the_new_station_as_before(moved_run: tuple[RunFile
     stages = read_stages(run)
     assert stages.stale_model() == ""
     assert stages.in_force == stages.current[LOCATE]
-    basis = stages.current[VERIFY].basis
-    assert basis is not None
+    basis = sure(stages.current[VERIFY].basis)
     assert list(basis.stages) == [LOCATE]
     assert run_overview(run).next_verb == "report"
     assert "Station of the tracker" in Path(report_run(run, write_page).page).read_text("utf-8")
@@ -280,7 +272,9 @@ def test_a_moved_base_is_no_motion_of_the_tracker_and_its_model_not_used(
     run: RunFile, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     base = run.profile.arms["left"].base
-    changed_plant(monkeypatch, lambda profile: with_left(profile, base=away(base, (0.003, 0.0, 0.0), (0.0, 0.0, 0.0))))
+    changed_plant(
+        monkeypatch, lambda profile: with_arm(profile, "left", base=away(base, (0.003, 0.0, 0.0), (0.0, 0.0, 0.0)))
+    )
     found = locate_run(run)
     assert found.verdict == "not explained"
     (complaint,) = found.complaints()
@@ -309,13 +303,7 @@ def _only(wanted: str, best: Callable[..., Any]) -> Callable[..., Any]:
 def test_a_fault_leaves_the_model_as_it_was(run: RunFile, monkeypatch: pytest.MonkeyPatch) -> None:
     opened: list[Cell] = []
 
-    @contextmanager
-    def failing(profile: Profile, **options: Any) -> Iterator[Cell]:
-        with open_cell(profile, **options) as cell:
-            opened.append(cell)
-            yield cell
-
-    monkeypatch.setattr("cellapp.cell.driving.supervision.open_cell", failing)
+    monkeypatch.setattr("cellapp.cell.driving.supervision.open_cell", opening(opened.append))
     before = (run.folder / CALIBRATION_FILE).read_bytes(), read_stages(run).current
 
     def protective_stop(event: Progress) -> None:

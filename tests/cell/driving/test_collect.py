@@ -29,7 +29,8 @@ from drivers.arms.simulated import SimulatedArm
 from drivers.trackers.simulated import SimulatedTracker
 from tests.evidence.campaigning.campaign import Bench, Campaign, make_bench, run_campaign
 from tests.evidence.campaigning.faults import KINDS, sample_faults
-from tests.twin import PROFILES, plant_of, small_twin
+from tests.sure import sure
+from tests.twin import PROFILES, altered, plant_of, small_twin
 
 STOPS = 12
 Hook = Callable[[Any, str, int], None]
@@ -106,8 +107,7 @@ class Watched:
 
     @property
     def plant(self) -> Any:
-        assert self.cell is not None
-        return plant_of(self.cell)
+        return plant_of(sure(self.cell))
 
 
 @pytest.fixture
@@ -259,8 +259,7 @@ def test_when_one_arm_is_stopped_the_other_does_not_finish_its_way(run: RunFile,
         if what == "stop" and "stopped" not in clock:
             clock["stopped"] = watched.plant.clock_s
 
-    slow = run.profile.arms["left"].model_copy(update={"speed_scale": 0.02})
-    profile = run.profile.model_copy(update={"arms": {**run.profile.arms, "left": slow}})
+    profile = altered(run.profile, arms={"left": {"speed_scale": 0.02}})
     watched.before = strike
     run.profile = profile
     with pytest.raises(HardwareError, match="arm right: protective stop"):

@@ -28,7 +28,7 @@ from drivers.arms.protocol import ArmIdentity, LinkLost
 from drivers.arms.simulated import SimulatedArm
 from tests.interfaces.plugins.installed import add_example, add_toys, installed, run_commands
 from tests.interfaces.plugins.line_controller import LineController, line_controllers
-from tests.twin import small_twin, with_arm, write_profile
+from tests.twin import altered, small_twin, with_arm, write_profile
 
 _DELTAS = ("delta_theta", "delta_d", "delta_a", "delta_alpha")
 PROFILES = Path(__file__).parents[3] / "profiles"
@@ -122,9 +122,7 @@ def real() -> Profile:
 
 def test_an_arm_of_seven_joints_is_no_ur(real: Profile) -> None:
     arm = real.arms["left"]
-    seven = arm.model_copy(
-        update={"type": arm.type.model_copy(update={"joints": (*arm.type.joints, arm.type.joints[0])})}
-    )
+    seven = altered(arm, type={"joints": (*arm.type.joints, arm.type.joints[0])})
     profile = real.model_copy(update={"arms": {"left": seven}})
     with pytest.raises(InputError, match=r"arms\.left\.type: UR10 has 7 joints, a UR arm has 6"), open_cell(profile):
         pass

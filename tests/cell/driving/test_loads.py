@@ -25,6 +25,7 @@ from cellapp.ground.profile.schema import Payload
 from cellapp.ground.profile.sections import Collection, Reference
 from drivers.arms.protocol import ArmState
 from drivers.arms.simulated import SimulatedArm
+from tests.sure import sure
 from tests.twin import small_twin, with_arm
 from tests.verbs import collect_by
 
@@ -79,13 +80,10 @@ def test_a_simulated_cell_hangs_its_loads_and_every_reading_says_which(run: RunF
     assert collect_run(run).outcome == "complete"
     left, right = run.readings("left"), run.readings("right")
     first = run.profile.arms["left"].payload.mass
-    assert left.payload_kg is not None
-    assert left.payload_center_F is not None
-    assert right.payload_kg is not None
-    assert left.payload_kg.tolist() == [first] * 3 + [5.0] * 3
-    np.testing.assert_allclose(left.payload_center_F[3:], [HEAVY.center_of_mass] * 3)
+    assert sure(left.payload_kg).tolist() == [first] * 3 + [5.0] * 3
+    np.testing.assert_allclose(sure(left.payload_center_F)[3:], [HEAVY.center_of_mass] * 3)
     assert (np.diff(left.time_s) > 0.0).all()  # one cell, whose time and effects go on
-    assert len(set(right.payload_kg.tolist())) == 1
+    assert len(set(sure(right.payload_kg).tolist())) == 1
     assert len(run.sessions()) == 2
     assert hung_load(run) == 1
     names = [row.name for row in run.references()]
@@ -165,8 +163,7 @@ def test_a_stop_measured_again_needs_its_own_load(run: RunFile, monkeypatch: pyt
     collect_run(run, again=[1, 4], hung=answers(asked, hangs=True))
     first = run.profile.arms["left"].payload.mass
     assert [f"hang {kg:g} kg" in words for kg, words in zip((first, 5.0), asked, strict=True)] == [True, True]
-    left = run.readings("left").payload_kg
-    assert left is not None
+    left = sure(run.readings("left").payload_kg)
     assert left.tolist() == [first] * 3 + [5.0] * 3
 
 

@@ -29,6 +29,7 @@ from cellapp.ground.progress import Cancelled, JobToken, MotionBegun, Progress
 from drivers.arms.simulated import SimulatedArm
 from drivers.clock import RealClock
 from tests.cell.planning.planned_cells import drivable_stops
+from tests.sure import sure
 from tests.twin import small_twin
 from tests.verbs import collect_by
 
@@ -48,23 +49,28 @@ def plan() -> PlannedStops:
     return replace(stops, legs=tuple(legs))
 
 
+def goals_sent(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, np.ndarray]]:
+    """Goals that are sent to the simulated arms from now on, each with its arm."""
+    goals: list[tuple[str, np.ndarray]] = []
+
+    class Arm(SimulatedArm):
+        def start_move(self, q: Any, *rest: Any) -> None:
+            goals.append((self.name, np.array(q)))
+            super().start_move(q, *rest)
+
+    monkeypatch.setattr("drivers.arms.simulated.SimulatedArm", Arm)
+    return goals
+
+
 class Driven:
     """Collects a run and keeps the goals of all motions; ``refuse`` adds what the gate refuses."""
 
     def __init__(self, run: RunFile, monkeypatch: pytest.MonkeyPatch) -> None:
         self.run = run
-        self.goals: list[tuple[str, np.ndarray]] = []
+        self.goals = goals_sent(monkeypatch)
         self.motions: list[MotionBegun] = []
         self.refuse: Refuse = lambda start, end: ""
         self.control = JobControl()
-        driven = self
-
-        class Arm(SimulatedArm):
-            def start_move(self, q: Any, *rest: Any) -> None:
-                driven.goals.append((self.name, np.array(q)))
-                super().start_move(q, *rest)
-
-        monkeypatch.setattr("drivers.arms.simulated.SimulatedArm", Arm)
 
     @contextmanager
     def opened(self, profile: Profile, **options: Any) -> Iterator[Cell]:
@@ -99,8 +105,7 @@ def arrived_by_the_planned_step(run: RunFile, stops: int = STOPS) -> None:
     for name, sign in (("left", 1.0), ("right", -1.0)):
         readings = run.readings(name)
         assert len(readings) == stops
-        assert readings.step is not None
-        np.testing.assert_allclose(readings.step, np.tile(sign * STEP, (stops, 1)), atol=1e-9)
+        np.testing.assert_allclose(sure(readings.step), np.tile(sign * STEP, (stops, 1)), atol=1e-9)
         np.testing.assert_array_equal(readings.approach, np.tile(np.sign(sign * STEP), (stops, 1)))
 
 
@@ -198,28 +203,14 @@ def plan_of_conditions() -> dict[str, np.ndarray]:
     return plan_stops(small_twin(3))
 
 
-class Moves:
-    """Goals that were sent to the simulated arms."""
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.goals: list[tuple[str, np.ndarray]] = []
-        moves = self
-
-        class Arm(SimulatedArm):
-            def start_move(self, q: Any, *rest: Any) -> None:
-                moves.goals.append((self.name, np.array(q)))
-                super().start_move(q, *rest)
-
-        monkeypatch.setattr("drivers.arms.simulated.SimulatedArm", Arm)
-
-    def went(self, name: str, q: np.ndarray) -> bool:
-        return any(arm == name and np.allclose(goal, q) for arm, goal in self.goals)
-
-
 def test_nothing_moves_that_the_gate_refuses(
     plan_of_conditions: dict[str, np.ndarray], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    moves = Moves(monkeypatch)
+    goals = goals_sent(monkeypatch)
+
+    def went(name: str, q: np.ndarray) -> bool:
+        return any(arm == name and np.allclose(goal, q) for arm, goal in goals)
+
     few = {name: q[:3] for name, q in plan_of_conditions.items()}
     into_the_floor = np.array([0.0, 0.9, 0.0, 0.0, 0.0, 0.0])
     beyond = few["right"][2] + 20.0
@@ -236,11 +227,11 @@ def test_nothing_moves_that_the_gate_refuses(
         assert "floor" in notes[0]
         assert "limits" in notes[1]
         assert [event.text for event in run.events() if event.level == "warning"] == list(notes[:2])
-    assert not moves.went("left", into_the_floor)
-    assert not moves.went("right", beyond)
+    assert not went("left", into_the_floor)
+    assert not went("right", beyond)
     for name in few:
-        assert not moves.went(name, few[name][1])
-        assert not moves.went(name, few[name][2])
+        assert not went(name, few[name][1])
+        assert not went(name, few[name][2])
 
 
 def test_the_rest_of_a_real_arm_ends_on_cancellation() -> None:

@@ -27,6 +27,7 @@ from cellapp.ground.job_client import JOB_FILE, Verb, ask_running_job, look_at_j
 from cellapp.ground.progress import Halt
 from drivers.arms.protocol import Arm, ArmError, ArmState, FaultListener, HostStalled, LinkLost, ProtectiveStop
 from drivers.trackers.protocol import Tracker, TrackerLinkLost
+from tests.sure import sure
 from tests.waiting import WAIT_S
 
 WITHIN_S = WAIT_S
@@ -107,8 +108,7 @@ def test_the_first_cause_is_kept(arms: dict[str, Braking]) -> None:
     arms["right"].listener(HostStalled("arm right: silent"))
     arms["left"].listener(LinkLost("arm left: lost"))
     arms["left"].listener(LinkLost("arm left: lost again"))
-    assert reaction.cause is not None
-    assert (reaction.cause.kind, reaction.cause.arm) == ("host stalled", "right")
+    assert (sure(reaction.cause).kind, sure(reaction.cause).arm) == ("host stalled", "right")
     assert [cause.text for cause in reaction.causes] == ["arm right: silent", "arm left: lost"], "each once"
 
 

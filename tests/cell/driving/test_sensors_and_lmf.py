@@ -27,6 +27,7 @@ from drivers.sensors.simulated import SimulatedAirSensor
 from drivers.trackers.lmf import LmfTracker
 from tests.approved import assert_refused
 from tests.drivers.trackers.fake_lmf import Scene
+from tests.sure import sure
 from tests.twin import small_twin, write_profile
 
 STOPS = 4
@@ -93,8 +94,7 @@ def collected(
     with RunFile.create(folder / "run", profile) as run:
         run.write_plan(plan)
         notes = collect_run(run).notes
-        temperature = run.readings("left").temperature_c
-        assert temperature is not None
+        temperature = sure(run.readings("left").temperature_c)
         return temperature, notes, [event.text for event in run.events()]
 
 
@@ -237,8 +237,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Any:
 def test_a_probe_is_measured_as_it_is_turned(run: RunFile) -> None:
     right = run.readings("right")
     assert right.quaternion_M is not None
-    assert right.sigma_rad is not None
-    np.testing.assert_array_equal(right.sigma_rad, np.full(STOPS_OF_MORE_THAN_A_POINT, 5e-5))
+    np.testing.assert_array_equal(sure(right.sigma_rad), np.full(STOPS_OF_MORE_THAN_A_POINT, 5e-5))
     true = build_plant(run.profile).probe_rotations(
         "right", right.q, approach=right.approach.astype(np.float64), others={"left": run.readings("left").q}
     )

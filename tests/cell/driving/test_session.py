@@ -28,6 +28,7 @@ from drivers.arms.protocol import ArmError, HostStalled, LinkLost
 from drivers.arms.simulated import SimulatedArm
 from drivers.trackers.protocol import TrackerLinkLost
 from drivers.trackers.simulated import SimulatedTracker
+from tests.sure import sure
 from tests.twin import plant_of, small_twin
 from tests.verbs import collect_by
 
@@ -94,8 +95,7 @@ class Bench:
         return self.cell.tracker
 
     def arm(self, name: str) -> SimulatedArm:
-        assert self.cell is not None
-        arm = self.cell.arms[name]
+        arm = sure(self.cell).arms[name]
         assert isinstance(arm, SimulatedArm)
         return arm
 
@@ -163,8 +163,7 @@ def test_pause_finishes_the_stop_and_resume_continues(bench: Bench) -> None:
 
     def act(request: Request) -> None:
         assert request == "pause"
-        assert bench.cell is not None
-        assert not any(plant_of(bench.cell).moving(name) for name in bench.cell.arms)
+        assert not any(plant_of(sure(bench.cell)).moving(name) for name in sure(bench.cell).arms)
         paused_at.append(bench.run.stops_done())
         if len(paused_at) == 3:
             bench.control.resume()
@@ -393,8 +392,7 @@ class Waiting:
 
     def begin(self, bench: Bench) -> None:
         stall(bench)
-        assert bench.cell is not None
-        clock = bench.cell.clock
+        clock = sure(bench.cell).clock
         wait = clock.wait
 
         def waits(duration_s: float, sleep: Any) -> None:

@@ -23,7 +23,8 @@ from cellapp.ground.control import JobControl, Stopped
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile.sections import Plan
 from cellapp.ground.progress import Progress, SweepLive
-from tests.twin import small_twin
+from tests.sure import sure
+from tests.twin import altered, small_twin
 
 STOPS = 2
 
@@ -56,8 +57,7 @@ def test_every_sample_of_a_planned_sweep_is_seen_clear_and_slow(plan: str, reque
         result = plan_result(run)
     cell = cell_bodies(profile)
     assert len(stops) == STOPS
-    assert result.sweeps is not None
-    assert sum(its.n for its in result.sweeps.values()) == len(sweeps) > len(stops)
+    assert sum(its.n for its in sure(result.sweeps).values()) == len(sweeps) > len(stops)
     assert "sweeps about its stops" in str(PLAN.view(result).parts)
     swings = [sweep.beside for sweep in sweeps if sweep.beside is not None]
     assert bool(swings) == (plan == "swinging")
@@ -91,10 +91,7 @@ def test_every_sample_of_a_planned_sweep_is_seen_clear_and_slow(plan: str, reque
 
 def test_a_cell_without_room_for_a_sweep_is_refused() -> None:
     profile = small_twin(2, plan={"method": "random"})
-    narrow = {
-        name: arm.model_copy(update={"smr": arm.smr.model_copy(update={"acceptance": 0.0})})
-        for name, arm in profile.arms.items()
-    }
+    narrow = {name: altered(arm, smr={"acceptance": 0.0}) for name, arm in profile.arms.items()}
     home = {name: np.array(arm.home)[None] for name, arm in profile.arms.items()}
     with pytest.raises(InputError, match="no sweep keeps clear"):
         plan_sweeps(profile.model_copy(update={"arms": narrow}), straight_stops(home))

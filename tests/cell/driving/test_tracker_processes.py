@@ -16,6 +16,7 @@ import pytest
 from cellapp.cell.driving.tracker_watch import TrackerMonitor, watched
 from drivers.trackers.bridge import BridgeTracker
 from tests.latency import attempts
+from tests.sure import sure
 from tests.waiting import within
 
 pytestmark = pytest.mark.waits
@@ -65,8 +66,7 @@ def process(program: str, argument: str) -> Iterator[subprocess.Popen[str]]:
 
 
 def first_line(running: subprocess.Popen[str]) -> str:
-    assert running.stdout is not None
-    return within(running.stdout.readline, "the first line of the process").strip()
+    return within(sure(running.stdout).readline, "the first line of the process").strip()
 
 
 @pytest.mark.parametrize(
@@ -102,8 +102,6 @@ def test_a_program_that_was_suspended_does_not_take_the_tracker_for_dead() -> No
             threading.Event().wait(0.7)  # longer than any silence that is allowed
             watcher.send_signal(signal.SIGCONT)
             threading.Event().wait(0.1)
-        assert watcher.stdin is not None
-        assert watcher.stdout is not None
-        watcher.stdin.write("\n")
-        watcher.stdin.close()
-        assert within(watcher.stdout.read, "the end of the process") == ""
+        sure(watcher.stdin).write("\n")
+        sure(watcher.stdin).close()
+        assert within(sure(watcher.stdout).read, "the end of the process") == ""

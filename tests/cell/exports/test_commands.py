@@ -33,6 +33,7 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.model import CellModel
+from tests.sure import sure
 from tests.twin import PROFILES
 from tests.verbs import correct_run, export_as_run, push_run
 
@@ -80,9 +81,8 @@ def test_the_table_brings_the_model_to_the_targets(
     with RunFile.open(folder) as run:
         result = export_as_run(run, "commands", tmp_path / "commands.csv")
     assert ExportResult.from_json(result.to_json(), "test") == result
-    assert result.commands is not None
     model = CellModel.load(folder / CALIBRATION_FILE)
-    for name, file in result.commands.items():
+    for name, file in sure(result.commands).items():
         rows = rows_of(Path(file.file))
         assert [row["name"] for row in rows] == [target.name for target in targets if target.arm == name]
         assert {row["arm"] for row in rows} == {name}
@@ -100,7 +100,7 @@ def test_the_table_brings_the_model_to_the_targets(
             assert row["holds_for"] == f"{said}; payload 0.3 kg"
         nominal = np.array([positions(row, "nominal_q") for row in driven])
         assert off_m(model, there, name, nominal, sides) > 1e-4
-    assert result.commands["left"].refused == 1
+    assert sure(result.commands)["left"].refused == 1
     assert any("1 left out" in line for line in export_lines(result))
 
 
@@ -137,9 +137,8 @@ def test_the_program_brings_the_model_to_the_targets(
     with RunFile.open(folder) as run:
         result = export_as_run(run, "urscript", tmp_path / "to.script")
         homes = home_positions(run.profile)
-    assert result.commands is not None
     model = CellModel.load(folder / CALIBRATION_FILE)
-    for name, file in result.commands.items():
+    for name, file in sure(result.commands).items():
         text = Path(file.file).read_bytes()
         motions = [np.array(one.numbers) for one in read_script(text, "to.script").targets]
         assert all(np.allclose(q, homes[name], atol=1e-8) for q in motions[::2]), "home between, and at both ends"
@@ -153,7 +152,7 @@ def test_the_program_brings_the_model_to_the_targets(
         assert file.refused == len(left_out) == len(own) - len(there)
         assert off_m(model, there, name, q, np.sign(q - homes[name])) < BAR_M
         assert "with all other arms at home" in text.decode()
-    left = Path(result.commands["left"].file).read_text("utf-8")
+    left = Path(sure(result.commands)["left"].file).read_text("utf-8")
     assert "# target far away: left out: out of reach" in left
     assert all("a=" in line and "v=0.209" in line for line in left.splitlines() if "movej" in line)
 
@@ -165,8 +164,7 @@ def test_what_was_compensated_is_not_corrected_again(
     """Corrected twice, it would be off by the correction."""
     with RunFile.open(finished_copy, write=True) as run:
         compensate_run(run, load_targets(PROFILES / "targets" / "twin.yaml", run.profile)[:3])
-        exported = export_as_run(run, form, tmp_path / f"to{suffix}").commands
-        assert exported is not None
+        exported = sure(export_as_run(run, form, tmp_path / f"to{suffix}").commands)
         written = [Path(one.file) for one in exported.values()]
         again = partial(correct_run, run, written[0], tmp_path / "again.script", "left")
         with pytest.raises(InputError, match=r"corrected copy|they are corrected"):
@@ -178,18 +176,15 @@ def test_what_verification_drove_last_is_written(finished_copy: Path, tmp_path: 
         verified = push_run(run, load_targets(PROFILES / "targets" / "twin.yaml", run.profile)[20:23], verify=True)
         result = export_as_run(run, "commands", tmp_path / "last.csv", None, "verify")
         before = export_as_run(run, "commands", tmp_path / "computed.csv")
-        assert result.commands is not None
-        assert before.commands is not None
-        for name, file in result.commands.items():
-            last, computed = (rows_of(Path(one.file)) for one in (file, before.commands[name]))
+        for name, file in sure(result.commands).items():
+            last, computed = (rows_of(Path(one.file)) for one in (file, sure(before.commands)[name]))
             assert [row["name"] for row in last] == [row["name"] for row in computed]
             driven = {one.name: one for one in verified.targets if one.arm == name}
             for row, first in zip(last, computed, strict=True):
                 one = driven[row["name"]]
-                assert one.q_driven is not None
                 assert one.q is not None
-                np.testing.assert_array_equal(positions(row, "q"), one.q_driven)
-                np.testing.assert_allclose(one.q_driven, one.q, atol=1e-4, err_msg="what the joints then read")
+                np.testing.assert_array_equal(positions(row, "q"), sure(one.q_driven))
+                np.testing.assert_allclose(sure(one.q_driven), one.q, atol=1e-4, err_msg="what the joints then read")
                 assert signs(row) == [float(sign) for sign in one.approach or ()]
                 assert "as driven by push" in row["holds_for"]
                 assert np.abs(positions(row, "q") - positions(first, "q")).max() < 1e-3

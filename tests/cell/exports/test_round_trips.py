@@ -31,6 +31,7 @@ from drivers.emulators.ur_controller import personality
 from tests.arms import OFF_AXIS, at_station, dh, true_geometry
 from tests.cell.exports import readers
 from tests.drivers.arms.test_ur_probe import ask, emulated
+from tests.twin import altered
 
 FORMATS = formats_of(ExportFormat)
 
@@ -167,8 +168,9 @@ def test_an_arm_of_another_make_is_refused(arm: str, form: str) -> None:
 def test_an_arm_with_one_other_angle_is_refused() -> None:
     arm = drawn("ur10", 0).arm
     first, *others = arm.type.joints
-    type_ = arm.type.model_copy(update={"joints": (first.model_copy(update={"alpha": 1.2}), *others)})
-    export = replace(drawn("ur10", 0), arm=arm.model_copy(update={"type": type_}))
+    export = replace(
+        drawn("ur10", 0), arm=altered(arm, type={"joints": (first.model_copy(update={"alpha": 1.2}), *others)})
+    )
     with pytest.raises(InputError, match="does not have the chain of a UR arm"):
         FORMATS["ur-calibration"].text(export, [])
 

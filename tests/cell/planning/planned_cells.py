@@ -12,7 +12,8 @@ from cellapp.cell.planning.planned_stops import Configuration, PlannedStops, Rou
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies, refuse_motion
 from cellapp.ground.profile import Profile
-from tests.twin import small_twin
+from tests.sure import sure
+from tests.twin import altered, small_twin, with_arm
 
 
 def some_stops(count: int, seed: int = 3, *, loads: bool = False) -> PlannedStops:
@@ -99,8 +100,7 @@ def three_arms(stops: int = 12, **plan: Any) -> Profile:
     """The twin with a second UR5 behind the first."""
     profile = planned_twin(stops, **plan)
     right = profile.arms["right"]
-    assert right.base is not None
-    third = right.model_copy(update={"base": right.base.model_copy(update={"position": (-0.6, -2.2, 0.0)})})
+    third = altered(right, base={"position": (-0.6, -2.2, 0.0)})
     return profile.model_copy(update={"arms": {**profile.arms, "third": third}})
 
 
@@ -110,10 +110,8 @@ def seven_joints(stops: int = 12, **plan: Any) -> Profile:
     left = profile.arms["left"]
     turntable = left.type.joints[0].model_copy(update={"d": 0.0, "alpha": 0.0, "mass": 0.0})
     capsules = tuple(one.model_copy(update={"frame": one.frame + 1}) for one in left.type.capsules)
-    kind = left.type.model_copy(update={"joints": (turntable, *left.type.joints), "capsules": capsules})
-    assert left.home is not None
-    arms = {**profile.arms, "left": left.model_copy(update={"type": kind, "home": (0.0, *left.home)})}
-    return profile.model_copy(update={"arms": arms})
+    kind = {"joints": (turntable, *left.type.joints), "capsules": capsules}
+    return with_arm(profile, "left", type=kind, home=(0.0, *sure(left.home)))
 
 
 def refusals(

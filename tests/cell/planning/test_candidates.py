@@ -21,7 +21,8 @@ from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import BoxObstacle, Placement
 from cellapp.robot.kinematics.chain import nominal_geometry
 from cellapp.robot.kinematics.transforms import transform
-from tests.twin import PROFILES, small_twin, with_arms
+from tests.sure import sure
+from tests.twin import PROFILES, altered, small_twin, with_arms
 
 COUNT = 400
 TRACKER = TrackerField(
@@ -81,8 +82,7 @@ def test_every_candidate_can_be_measured(which: str) -> None:
     assert visible(cell, name, pool.q).all()
     assert clear_alone(cell, placed).all()
     assert len(np.unique(pool.q, axis=0)) == COUNT
-    assert cell.field is not None
-    np.testing.assert_allclose(pool.incidence, sight_of(cell.field.T_C_M, placed).incidence, atol=1e-7)
+    np.testing.assert_allclose(pool.incidence, sight_of(sure(cell.field).T_C_M, placed).incidence, atol=1e-7)
     assert pool.sampled - sum(pool.rejected.values()) >= COUNT
 
 
@@ -98,14 +98,6 @@ def test_a_pool_may_be_smaller_than_asked_for_but_not_than_the_plan(monkeypatch:
 # -- cells in which nothing can be measured ---------------------------------------------------------------------------
 
 
-def with_tracker(profile: Profile, **changes: Any) -> Profile:
-    return profile.model_copy(update={"tracker": profile.tracker.model_copy(update=changes)})
-
-
-def with_plan(profile: Profile, **changes: Any) -> Profile:
-    return profile.model_copy(update={"plan": profile.plan.model_copy(update=changes)})
-
-
 def with_box(profile: Profile, position: tuple[float, float, float], size: tuple[float, float, float]) -> Profile:
     box = BoxObstacle(shape="box", size=size, pose=Placement(position=position))
     return profile.model_copy(update={"obstacles": {"table": box}})
@@ -114,26 +106,30 @@ def with_box(profile: Profile, position: tuple[float, float, float], size: tuple
 def folded(profile: Profile) -> Profile:
     """The forearm may only lie on the upper arm."""
     limits = tuple((2.9, 3.1) if joint == 2 else (-3.0, 3.0) for joint in range(6))
-    return with_arms(with_plan(profile, floor=-3.0), limits=limits)
+    return with_arms(altered(profile, plan={"floor": -3.0}), limits=limits)
 
 
 def impossible(twin: Profile) -> dict[str, tuple[Profile, str, str]]:
     """Cause -> profile, the constraint, what its extent says."""
-    smr, no_home = twin.arms["left"].smr, with_arms(twin, home=None)
+    no_home = with_arms(twin, home=None)
     return {
-        "too far": (with_tracker(twin, distance=(6.0, 40.0)), "range", r"allowed are 6 to 40 m; .* by [0-9]+ mm"),
-        "behind its back": (with_tracker(twin, azimuth=(2.8, 3.4)), "azimuth", r"allowed are 160\.4 to 194\.8 deg"),
-        "too high": (with_tracker(twin, elevation=(1.0, 1.5)), "elevation", r"seen at -1[0-9] to 1[0-9] deg, .* deg"),
-        "looking back": (
-            with_arms(twin, smr=smr.model_copy(update={"normal": (0.0, 0.0, -1.0), "acceptance": 0.05})),
-            "facing",
-            "looks away from the tracker; the nearest misses by [0-9]+ deg",
+        "too far": (altered(twin, tracker={"distance": (6.0, 40.0)}), "range", r"allowed are 6 to 40 m; .* by \d+ mm"),
+        "behind its back": (
+            altered(twin, tracker={"azimuth": (2.8, 3.4)}),
+            "azimuth",
+            r"allowed are 160\.4 to 194\.8 deg",
         ),
-        "floor": (with_plan(twin, floor=0.5), "floor", "nearest misses by [0-9]+ mm"),
-        "ceiling": (with_plan(twin, ceiling=-0.1, floor=-3.0), "ceiling", "nearest misses by [0-9]+ mm"),
+        "too high": (altered(twin, tracker={"elevation": (1.0, 1.5)}), "elevation", r"seen at -1\d to 1\d deg, .* deg"),
+        "looking back": (
+            with_arms(twin, smr={"normal": (0.0, 0.0, -1.0), "acceptance": 0.05}),
+            "facing",
+            r"looks away from the tracker; the nearest misses by \d+ deg",
+        ),
+        "floor": (altered(twin, plan={"floor": 0.5}), "floor", r"nearest misses by \d+ mm"),
+        "ceiling": (altered(twin, plan={"ceiling": -0.1, "floor": -3.0}), "ceiling", r"nearest misses by \d+ mm"),
         "wall": (with_box(twin, (2.0, 0.0, 0.5), (0.1, 9.0, 9.0)), "obstacle 'table' in the beam", "nearest misses by"),
         "in a box": (with_box(no_home, (0.0, 0.85, 0.3), (0.3, 0.3, 0.3)), "obstacle 'table'", "nearest misses by"),
-        "folded": (folded(twin), "own bodies", "nearest misses by [0-9]+ mm"),
+        "folded": (folded(twin), "own bodies", r"nearest misses by \d+ mm"),
     }
 
 

@@ -28,7 +28,8 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Cancelled, JobToken
 from cellapp.robot.paths.joint_path import Sweep
-from tests.twin import PROFILES, small_twin, with_arms
+from tests.sure import sure
+from tests.twin import PROFILES, altered, small_twin, with_arms
 
 STOPS = 24
 
@@ -138,9 +139,7 @@ def test_what_geometry_can_follow_is_invisible_and_backlash_is_not(forecast: Pla
         assert "payload does not vary" in effects["payload_compliance"].reason
         backlash = effects["backlash"]
         assert backlash.visible
-        assert backlash.smallest_seen_rms_mm is not None
-        assert backlash.with_scatter_rms_mm is not None
-        assert 0.0 < backlash.smallest_seen_rms_mm < backlash.with_scatter_rms_mm
+        assert 0.0 < sure(backlash.smallest_seen_rms_mm) < sure(backlash.with_scatter_rms_mm)
         assert {"half_play1", "half_play2"} & set(backlash.smallest_seen)
 
 
@@ -158,9 +157,7 @@ def test_more_stops_show_smaller_effects(forecast: PlanForecastResult, planned: 
             next(one.smallest_seen_rms_mm for one in source.effects if one.effect == "joint_compliance")
             for source in (forecast.arms[name], arm)
         ]
-        assert sizes[0] is not None
-        assert sizes[1] is not None
-        assert sizes[1] < sizes[0]
+        assert sure(sizes[1]) < sure(sizes[0])
 
 
 def test_too_few_stops_are_told_and_the_rest_is_foreseen(tmp_path: Path) -> None:
@@ -173,8 +170,7 @@ def test_too_few_stops_are_told_and_the_rest_is_foreseen(tmp_path: Path) -> None
 
 def test_an_unknown_smr_offset_is_assumed_and_said(tmp_path: Path) -> None:
     profile = small_twin(STOPS, plan={"method": "random"})
-    smr = profile.arms["left"].smr.model_copy(update={"offset": "unknown"})
-    arms = {**profile.arms, "left": profile.arms["left"].model_copy(update={"smr": smr})}
+    arms = {**profile.arms, "left": altered(profile.arms["left"], smr={"offset": "unknown"})}
     with new_planned_run(profile.model_copy(update={"arms": arms}), tmp_path / "run") as run:
         result = forecast_run(run)
     assert any("smr.offset is unknown" in note for note in result.notes)
@@ -191,8 +187,7 @@ def test_what_a_sweep_tells_is_of_the_effects_that_the_plan_is_for():
     lively[:, 0] = 0.3
     told = {}
     for slugs in ((), ("transmission_error",), ("transmission_error", "backlash")):
-        plan = profile.plan.model_copy(update={"effects": slugs})
-        design = SweepDesign.of(profile.model_copy(update={"plan": plan}), "left")
+        design = SweepDesign.of(altered(profile, plan={"effects": slugs}), "left")
         before = design.before(q, np.ones_like(q))
         assert np.isfinite(before).all()
         gains = [
@@ -266,7 +261,7 @@ def three_arms() -> Profile:
 
 def seven_joints() -> Profile:
     profile = load_profile(PROFILES / "twin-foreign.yaml")
-    return profile.model_copy(update={"plan": profile.plan.model_copy(update={"stops": 20})})
+    return altered(profile, plan={"stops": 20})
 
 
 def without_offset() -> Profile:

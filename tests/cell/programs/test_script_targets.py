@@ -41,7 +41,8 @@ from tests.approved import assert_refused
 from tests.arms import OFF_AXIS, UR10, UR10_CENTERS, UR10_MASSES, at_station, true_geometry
 from tests.cell.programs.test_truth import FACTOR, Array, Cell, cell_of, corrected, errors, waypoint
 from tests.made_once import made_once
-from tests.twin import small_twin, with_arm
+from tests.sure import sure
+from tests.twin import altered, small_twin, with_arm
 from tests.verbs import correct_run
 
 TCP = "set_tcp(p[0, 0, 0.1, 0, 0, 0])\n"
@@ -77,35 +78,18 @@ def moved(source: str, by: float = 0.001) -> str:
 NEW = "p[0.4010000000, -0.1990000000, 0.3010000000, 0.0010000000, 3.1010000000, 0.0010000000]"
 
 
-@pytest.mark.parametrize(
-    ("source", "expected"),
-    [
-        (f"movel({POSE}, a=1.2, v=0.25)  # {POSE}", f"movel({NEW}, a=1.2, v=0.25)  # {POSE}"),
-        (f"movel(pose={POSE})\r\n", f"movel(pose={NEW})\r\n"),
-        ("movel( p[ 0.4,-0.2 ,.3,\n  0, 3.1,0 ] )", "movel( p[ 0.4010000000,-0.1990000000 ,0.3010000000,\n"
-         "  0.0010000000, 3.1010000000,0.0010000000 ] )"),
-        (f"P = {POSE}\nmovel(P)\nmovej(P)", f"P = {NEW}\nmovel(P)\nmovej(P)"),
-        (f"P = {POSE}\nmovel(P)\nx = pose_dist(P, Q)", f"P = {POSE}\nmovel({NEW})\nx = pose_dist(P, Q)"),
-        (f"P = {POSE}\nR = P\nmovel(R)", f"P = {POSE}\nR = P\nmovel({NEW})"),
-        (f"movej(get_inverse_kin({POSE}, qnear={JOINTS}))", f"movej(get_inverse_kin({NEW}, qnear={JOINTS}))"),
-        (f"q = get_inverse_kin({POSE})\nmovej(q)", f"q = get_inverse_kin({NEW})\nmovej(q)"),
-        (f"q = get_inverse_kin({POSE})\nmovej(q)\ntextmsg(q)", f"q = get_inverse_kin({POSE})\n"
-         "movej([1.0000000000, 2.0000000000, 3.0000000000, 4.0000000000, 5.0000000000, 6.0000000000])\ntextmsg(q)"),
-        (f"movel(pose_trans({POSE}, p[0,0,0,0,0,0]))", f"movel({NEW})"),
-        ("z = 0.3\nmovel(p[0.4, -0.2, z, 0, 3.1, 0])", f"z = 0.3\nmovel({NEW})"),
-        (f'textmsg("movel({POSE})")\nmovel({POSE})', f'textmsg("movel({POSE})")\nmovel({NEW})'),
-        (f"if x > 1: movel({POSE}) end", f"if x > 1: movel({NEW}) end"),
-        (f"thread t():\n  movel({POSE})\nend\nrun t()", f"thread t():\n  movel({NEW})\nend\nrun t()"),
-        (f"def go(a, x):\n  movel(x, a)\nend\ngo(1, {POSE})", f"def go(a, x):\n  movel(x, a)\nend\ngo(1, {NEW})"),
-        (f"def go(x):\n  to(x)\nend\ndef to(x):\n  movel(x)\nend\ngo({POSE})",
-         f"def go(x):\n  to(x)\nend\ndef to(x):\n  movel(x)\nend\ngo({NEW})"),
-        (f"def a():\n  P = {POSE}\n  movel(P)\nend\ndef b():\n  P = {JOINTS}\nend\nb()",
-         f"def a():\n  P = {POSE}\n  movel({NEW})\nend\ndef b():\n  P = {JOINTS}\nend\nb()"),
-        (f'$ 3 "Waypoint_1" "breakAfter"\nmovel({POSE})', f'$ 3 "Waypoint_1" "breakAfter"\nmovel({NEW})'),
-    ],
-)  # fmt: skip
-def test_new_numbers_stand_where_the_old_ones_did(source: str, expected: str) -> None:
-    assert moved(source) == expected
+def test_new_numbers_stand_where_the_old_ones_did_as_approved() -> None:
+    """Below each program: what it becomes; NEW stands for the moved POSE, all other text is kept."""
+
+    def changed(source: str) -> str:
+        for word, text in (("POSE", POSE), ("JOINTS", JOINTS), ("\\r", "\r")):
+            source = source.replace(word, text)
+        shown = moved(source)
+        for word, text in (("NEW", NEW), ("POSE", POSE), ("JOINTS", JOINTS), ("\\r", "\r")):
+            shown = shown.replace(text, word)
+        return shown.replace("$ ", "\\$ ")  # which would begin a line of the text
+
+    assert_refused(Path(__file__).parent / "approved" / "new-numbers.txt", changed)
 
 
 def test_what_is_no_constant_is_named_by_line() -> None:
@@ -210,7 +194,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         twin = small_twin(
             30, plan={"method": "random"}, plant={"factory": FactoryErrors(length=1e-4, angle=1e-4), "effects": {}}
         )
-        twin = twin.model_copy(update={"network": twin.network.model_copy(update={"kind": "none"})})
+        twin = altered(twin, network={"kind": "none"})
         own, left = factory_calibration(build_plant(twin), "left"), twin.arms["left"]
         assert own is not None
         text = controller_file_text((own.rows - published_rows(left)).tolist(), own.checksum, ("a comment",))
@@ -271,8 +255,7 @@ def test_the_report_compares_published_factory_and_identified_rows(folder: Path)
     with RunFile.open(folder) as run:
         assert all(one.dh_rows is not None for one in recorded_controllers(run).values())
         section = controllers_section(run, read_report_data(run))
-    assert section is not None
-    table = section.parts[0]
+    table = sure(section).parts[0]
     assert isinstance(table, Table)
     mean = {(row[0], row[1]): row[2] for row in table.rows}
     for arm in ("left", "right"):
@@ -283,19 +266,11 @@ def test_the_report_compares_published_factory_and_identified_rows(folder: Path)
         assert ours < factory < 0.6 * published
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("", "no section"),
-        ("x", "no calibration.conf"),
-        ("[mounting]\ndelta_theta = [0]\n", "has no delta_a"),
-        ("[mounting]\ndelta_theta = [a]\n", "expected numbers between commas"),
-        ("[mounting]\ndelta_theta = [nan]\n", "not a finite number"),
-    ],
-)
-def test_a_file_that_is_no_calibration_is_refused(text: str, words: str) -> None:
-    with pytest.raises(InputError, match=f"left.conf: .*{words}"):
-        controller_table(text, Path("left.conf"))
+def test_a_file_that_is_no_calibration_is_refused_as_approved() -> None:
+    assert_refused(
+        Path(__file__).parent / "approved" / "no-calibration.txt",
+        lambda text: controller_table(text, Path("left.conf")),
+    )
 
 
 # -- Corrections of single targets: exact by the model, on the branch of the controller, refused with a reason ---------
@@ -343,19 +318,13 @@ def test_an_arm_without_errors_leaves_the_program_byte_for_byte() -> None:
     assert rewritten(program.text, program.targets, results) == source
 
 
-@pytest.mark.parametrize(
-    ("source", "words"),
-    [
-        ("movel(p[3, 0, 0, 0, 0, 0])", "out of reach"),
-        ("movej([7, -1.4, 1.6, -1.7, 1.2, 0.4])", "position of joint 1, 401.070 deg, is beyond its limits"),
-        ("movej([0.3, -1.4, 1.6, -1.7, 0.0, 0.4])", "singular posture"),
-        ("movej([0.3, -1.4, 1.6, -1.7, -1.2, 0.4])", "outside the calibrated range: joint 5 at"),
-    ],
-)
-def test_targets_without_a_correction_say_why(source: str, words: str) -> None:
-    (result,) = solved(source, place(arm_model()))
-    assert result.new is None
-    assert words in result.reason
+def test_targets_without_a_correction_say_why_as_approved() -> None:
+    def refused(source: str) -> str:
+        (result,) = solved(source, place(arm_model()))
+        assert result.new is None
+        return result.reason
+
+    assert_refused(Path(__file__).parent / "approved" / "no-correction.txt", refused)
 
 
 # -- Programs of the pendant (.urp) ------------------------------------------------------------------------------------

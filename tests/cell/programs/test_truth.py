@@ -19,6 +19,7 @@ from cellapp.commands.stages import CALIBRATION_FILE
 from cellapp.ground.errors import InputError
 from cellapp.robot.model import CellModel
 from drivers.plant import Plant
+from tests.approved import assert_refused
 from tests.cell.programs.plain_controller import PlainController, Pose, forward, matrix, pose_of
 from tests.postures import far_from_singular
 from tests.verbs import correct_run
@@ -206,26 +207,16 @@ def test_nothing_is_written_where_a_target_cannot_be_corrected(cell: Cell, tmp_p
         correct_run(run, tmp_path / "old.script", tmp_path / "new.script", "right", partly=True, extrapolate=True)
 
 
-@pytest.mark.parametrize(
-    ("program", "out", "arm", "words"),
-    [
-        ("old.script", "new.script", None, "say whose program it is: --arm left or --arm right"),
-        ("old.script", "new.script", "third", "no calibrated arm 'third'"),
-        ("old.script", "new.urp", "left", "written as .script"),
-        ("old.txt", "new.txt", "left", "only for a program of a UR controller"),
-        ("gone.script", "new.script", "left", "cannot be read"),
-        ("empty.script", "new.script", "left", "no motion with a target found"),
-        ("blocks.script", "new.script", "left", "blocks.script:1: 'def' has no 'end'"),
-        ("old.urp", "new.urp", "left", "not packed by gzip"),
-    ],
-)
-def test_bad_requests_are_one_sentence(
-    cell: Cell, tmp_path: Path, program: str, out: str, arm: str | None, words: str
-) -> None:
+def test_bad_requests_are_one_sentence_as_approved(cell: Cell, tmp_path: Path) -> None:
+    """Lines name a program, where its correction goes, and its arm."""
     (tmp_path / "old.script").write_text("movej([0,0,0,0,0,0])")
     (tmp_path / "empty.script").write_text("x = 1")
     (tmp_path / "blocks.script").write_text("def f():")
     (tmp_path / "old.urp").write_text("<URProgram/>")
-    with RunFile.open(cell.run.folder) as run, pytest.raises(InputError, match=re.escape(words)):
-        correct_run(run, tmp_path / program, tmp_path / out, arm)
-    assert not (tmp_path / out).exists()
+
+    def refused(program: str, out: str, arm: str | None = None) -> object:
+        with RunFile.open(cell.run.folder) as run:
+            return correct_run(run, tmp_path / program, tmp_path / out, arm)
+
+    assert_refused(Path(__file__).parent / "approved" / "requests.txt", refused, tmp_path, cell.run.folder)
+    assert not list(tmp_path.glob("new.*"))

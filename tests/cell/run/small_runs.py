@@ -106,12 +106,16 @@ def collected_run(folder: Path, outcome: SessionEnd | None, measured: int = 2, s
     return folder
 
 
+def alter_file(folder: Path, statement: str, *values: str) -> None:
+    """Change the file of a run as no part of cellapp does."""
+    with contextlib.closing(sqlite3.connect(folder / "run.sqlite")) as connection, connection:
+        connection.execute(statement, values)
+
+
 def set_began(folder: Path, minute: int) -> None:
     """Let a run have begun in a minute of some hour: runs made in the same millisecond have no order."""
-    with contextlib.closing(sqlite3.connect(folder / "run.sqlite")) as connection:
-        began = f"2026-01-02T03:{minute:02}:00.000+00:00"
-        connection.execute("UPDATE meta SET value = ? WHERE key = 'created'", (began,))
-        connection.commit()
+    began = f"2026-01-02T03:{minute:02}:00.000+00:00"
+    alter_file(folder, "UPDATE meta SET value = ? WHERE key = 'created'", began)
 
 
 def spoil_text(path: Path) -> None:
@@ -148,21 +152,15 @@ def spoil_newer(path: Path) -> None:
 
 def spoil_other(path: Path) -> None:
     path.unlink()
-    with contextlib.closing(sqlite3.connect(path)) as connection:
-        connection.execute("CREATE TABLE t (a)")
-        connection.commit()
+    alter_file(path.parent, "CREATE TABLE t (a)")
 
 
 def spoil_tables(path: Path) -> None:
-    with contextlib.closing(sqlite3.connect(path)) as connection:
-        connection.execute("DROP TABLE meta")
-        connection.commit()
+    alter_file(path.parent, "DROP TABLE meta")
 
 
 def spoil_profile(path: Path) -> None:
-    with contextlib.closing(sqlite3.connect(path)) as connection:
-        connection.execute("UPDATE meta SET value = '{}' WHERE key = 'profile'")
-        connection.commit()
+    alter_file(path.parent, "UPDATE meta SET value = '{}' WHERE key = 'profile'")
 
 
 SPOILED: tuple[tuple[Callable[[Path], None], str], ...] = (

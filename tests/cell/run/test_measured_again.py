@@ -41,6 +41,7 @@ from tests.cell.run.small_runs import (
     written,
 )
 from tests.commands.emulated_cell import quiet_work
+from tests.sure import sure
 from tests.twin import PROFILES, small_twin
 from tests.verbs import import_new_run
 
@@ -158,11 +159,9 @@ def test_motions_follow_from_the_row_before_not_from_the_number_of_the_stop(path
     write(path, HEADER.replace("q2", "q2,q3"), *rows)
     found = left(path)
     assert found.configuration.tolist() == [3, 5, 7]
-    assert found.sequence is not None
-    assert found.step is not None
-    np.testing.assert_array_equal(found.sequence, [1, 2, 0])
+    np.testing.assert_array_equal(sure(found.sequence), [1, 2, 0])
     np.testing.assert_array_equal(found.approach, [[1, -1], [-1, 1], [0, 0]])
-    np.testing.assert_allclose(found.step, [[0.2, -0.3], [-0.1, 0.4], [np.nan, np.nan]])
+    np.testing.assert_allclose(sure(found.step), [[0.2, -0.3], [-0.1, 0.4], [np.nan, np.nan]])
     plain = left(path, in_order=False)
     assert plain.sequence is plain.step is None
     assert not plain.approach.any()
@@ -173,9 +172,8 @@ def test_values_that_are_given_stay_and_a_detour_leaves_the_step_unknown() -> No
     step = np.array([[np.nan, np.nan], [np.nan, -0.2], [np.nan, np.nan]])
     found, derived = in_measured_order(some([[0.0, 0.0], [0.5, 0.5], [0.5, 0.4]], approach=approach, step=step))
     # joint 1 came to the second stop from above although the stop before lies below: by way of another place
-    assert found.step is not None
     np.testing.assert_array_equal(found.approach, [[1, 0], [-1, -1], [-1, -1]])
-    np.testing.assert_allclose(found.step, [[np.nan, np.nan], [np.nan, -0.2], [0.0, -0.1]])
+    np.testing.assert_allclose(sure(found.step), [[np.nan, np.nan], [np.nan, -0.2], [0.0, -0.1]])
     assert derived == ArmOrder(by="rows", approach=3, step=2, contradicted=1)
 
 
@@ -207,7 +205,7 @@ def test_contradictory_orders_are_refused(path: Path) -> None:
         left(path)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     q=hnp.arrays(np.float64, st.tuples(st.integers(1, 6), st.just(2)), elements=st.floats(-3.0, 3.0)), data=st.data()
 )
@@ -302,16 +300,13 @@ def test_position_and_rotation_are_as_good_as_their_covariances_say(
             one = run.readings("left")
         assert len(one) == STOPS
         assert one.smr is None
-        assert one.quaternion_M is not None
-        assert one.rotation_covariance_M is not None
-        found = Rotation.from_quat(one.quaternion_M, scalar_first=True).as_matrix()
+        found = Rotation.from_quat(sure(one.quaternion_M), scalar_first=True).as_matrix()
         mounted = Rotation.from_matrix(truth.R_M.swapaxes(1, 2) @ found).mean().as_matrix()  # S in F
         off = rotation_vectors(found @ (truth.R_M @ mounted).swapaxes(1, 2))
-        chi_of_turns.append(in_sigmas(off, one.rotation_covariance_M))
+        chi_of_turns.append(in_sigmas(off, sure(one.rotation_covariance_M)))
         if more:
-            assert one.covariance_M is not None
             true_M = truth.p_M + truth.R_M @ np.array(PLACES_S[names[0]])
-            chi_of_points.append(in_sigmas(one.p_M - true_M, one.covariance_M))
+            chi_of_points.append(in_sigmas(one.p_M - true_M, sure(one.covariance_M)))
         else:
             assert one.covariance_M is None
     assert 0.7 < np.mean(chi_of_turns) < 1.3
@@ -327,8 +322,7 @@ def test_what_was_made_is_said_stored_and_taken_again(tmp_path: Path) -> None:
         write_readings_csv(run, tmp_path / "out.csv")
         (note,) = (event.text for event in run.events() if event.level == "note")
     assert 5 not in one.configuration
-    assert one.quaternion_M is not None
-    assert np.flatnonzero(np.isnan(one.quaternion_M[:, 0])).tolist() == [3]
+    assert np.flatnonzero(np.isnan(sure(one.quaternion_M)[:, 0])).tolist() == [3]
     assert "one position (that of SMR A) and one rotation of SMRs A, B, C at 22 of 24 stops, to 0.3" in note
     assert "1 stop left out; smr.offset of the profile is that of A" in note
     with import_csv(left_alone(), tmp_path / "out.csv", tmp_path / "again") as run:

@@ -34,13 +34,13 @@ from cellapp.cell.safety.gate import (
 from cellapp.cell.safety.shapes import Cylinder, ObstacleBody, RoundedBox, Shape
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.sections import BoxObstacle, CapsuleObstacle, CylinderObstacle, Placement, SphereObstacle
 from cellapp.robot.kinematics.chain import nominal_geometry
 from cellapp.robot.kinematics.transforms import apply, rotation_from_vector, transform
 from drivers.plant.clearance import segment_distances
 from drivers.plant.config import TrackerConfig
 from drivers.plant.optics import why_hidden
-from tests.twin import small_twin
+from tests.sure import sure
+from tests.twin import small_twin, with_arm, with_obstacles
 
 QUARTER = math.pi / 2.0
 
@@ -295,8 +295,7 @@ def test_no_body_point_moves_farther_than_its_lever_allows(twin: CellBodies, joi
 @pytest.mark.parametrize("azimuth", [(-2 * math.pi, 2 * math.pi), (-0.05, 0.4), (6.2, 6.6), (3.0, 6.5), (2.0, 4.0)])
 def test_visible_smrs_are_visible_to_the_simulated_optics(twin: CellBodies, azimuth: tuple[float, float]) -> None:
     """By the plant's own rules; azimuth ranges may be written over the cut at half a turn."""
-    assert twin.field is not None
-    field = dataclasses.replace(twin.field, azimuth=azimuth, distance=(2.8, 4.4), elevation=(-0.1, 0.2))
+    field = dataclasses.replace(sure(twin.field), azimuth=azimuth, distance=(2.8, 4.4), elevation=(-0.1, 0.2))
     cell = dataclasses.replace(twin, field=field)
     optics = TrackerConfig(T_C_M=field.T_C_M, azimuth=azimuth, elevation=field.elevation, distance=field.distance)
     q = np.random.default_rng(1).uniform(-math.pi, math.pi, (20_000, 6))
@@ -563,43 +562,19 @@ def test_a_larger_clearance_never_admits_more() -> None:
     assert all(not more or less for pair in pairwise(admitted) for less, more in zip(*pair))
 
 
-def with_obstacles(profile: Profile | None = None, **obstacles: Any) -> Profile:
-    return (profile or small_twin()).model_copy(update={"obstacles": obstacles})
+CROWD = """
+pillar: {shape: cylinder, radius: 0.1, length: 2.0, pose: {position: [0.7, 0.2, 0.6], rpy: [0.2, 0.0, 0.0]}}
+table: {shape: box, size: [3.0, 3.0, 0.1], pose: {position: [0.0, 0.0, -0.25]}}
+left_pedestal: {shape: cylinder, fixed_to: base, arm: left, radius: 0.09, length: 0.2, pose: {position: [0, 0, -0.1]}}
+lamp: {shape: sphere, radius: 0.15, pose: {position: [0.4, -0.6, 0.8]}}
+gripper: {shape: box, fixed_to: flange, arm: left, size: [0.2, 0.06, 0.05], pose: {position: [0.1, 0.0, 0.03]}}
+hose: {shape: capsule, fixed_to: flange, arm: right, radius: 0.02, length: 0.15, pose: {position: [0.0, -0.08, 0.0]}}
+"""
 
 
-def crowded() -> Profile:
+def crowded(more: str = "") -> Profile:
     """The twin cell with a pillar, a table with pedestals, and a gripper on the left arm."""
-    return with_obstacles(
-        small_twin(plan={"floor": -2.0, "clearance": 0.03}),
-        pillar=CylinderObstacle(
-            shape="cylinder", radius=0.1, length=2.0, pose=Placement(position=(0.7, 0.2, 0.6), rpy=(0.2, 0.0, 0.0))
-        ),
-        table=BoxObstacle(shape="box", size=(3.0, 3.0, 0.1), pose=Placement(position=(0.0, 0.0, -0.25))),
-        left_pedestal=CylinderObstacle(
-            shape="cylinder",
-            fixed_to="base",
-            arm="left",
-            radius=0.09,
-            length=0.2,
-            pose=Placement(position=(0.0, 0.0, -0.1)),
-        ),
-        lamp=SphereObstacle(shape="sphere", radius=0.15, pose=Placement(position=(0.4, -0.6, 0.8))),
-        gripper=BoxObstacle(
-            shape="box",
-            fixed_to="flange",
-            arm="left",
-            size=(0.2, 0.06, 0.05),
-            pose=Placement(position=(0.1, 0.0, 0.03)),
-        ),
-        hose=CapsuleObstacle(
-            shape="capsule",
-            fixed_to="flange",
-            arm="right",
-            radius=0.02,
-            length=0.15,
-            pose=Placement(position=(0.0, -0.08, 0.0)),
-        ),
-    )
+    return with_obstacles(CROWD + more, small_twin(plan={"floor": -2.0, "clearance": 0.03}))
 
 
 def random_stops(cell: CellBodies, count: int, seed: int) -> dict[str, np.ndarray]:
@@ -622,12 +597,9 @@ def test_bases_may_stand_on_what_links_may_not_touch() -> None:
 def test_obstacles_of_a_base_move_with_it() -> None:
     profile = crowded()
     here = cell_bodies(profile)
-    base = profile.arms["left"].base
-    assert base is not None
+    base = sure(profile.arms["left"].base)
     x, y, z = base.position
-    shifted = base.model_copy(update={"position": (x - 0.1, y, z)})
-    arms = {**profile.arms, "left": profile.arms["left"].model_copy(update={"base": shifted})}
-    there = cell_bodies(profile.model_copy(update={"arms": arms}))
+    there = cell_bodies(with_arm(profile, "left", base={"position": (x - 0.1, y, z)}))
     moved = {
         one.name: (other.pose[:3, 3] - one.pose[:3, 3]).tolist()
         for one, other in zip(here.obstacles, there.obstacles, strict=True)
@@ -638,10 +610,8 @@ def test_obstacles_of_a_base_move_with_it() -> None:
 
 def test_what_a_flange_carries_is_checked_against_everything() -> None:
     bare = cell_bodies(small_twin(plan={"floor": -2.0}))
-    long = BoxObstacle(
-        shape="box", fixed_to="flange", arm="left", size=(0.05, 0.05, 1.2), pose=Placement(position=(0.0, 0.0, 0.65))
-    )
-    armed = cell_bodies(with_obstacles(small_twin(plan={"floor": -2.0}), lance=long))
+    long = "lance: {shape: box, fixed_to: flange, arm: left, size: [0.05, 0.05, 1.2], pose: {position: [0, 0, 0.65]}}"
+    armed = cell_bodies(with_obstacles(long, small_twin(plan={"floor": -2.0})))
     q = random_stops(armed, 600, 8)
     clear, clear_bare = clear_stops(armed, q), clear_stops(bare, q)
     assert not np.any(clear & ~clear_bare)
@@ -660,8 +630,7 @@ def test_an_obstacle_in_the_beam_hides_the_smr() -> None:
     rng = np.random.default_rng(2)
     q = rng.uniform(-math.pi, math.pi, (20_000, 6))
     q = q[visible(bare, "left", q)]
-    assert bare.field is not None
-    head = bare.field.T_C_M[:3, 3]
+    head = sure(bare.field).T_C_M[:3, 3]
     smr = place(bare.arms["left"], q).smr
     wall = RoundedBox(np.array([0.01, 0.4, 0.4]))
     middle = 0.5 * (head + smr.mean(axis=0))
@@ -682,16 +651,15 @@ def test_an_obstacle_in_the_beam_hides_the_smr() -> None:
 
 def test_obstacles_that_hold_an_arm_or_the_tracker_are_named() -> None:
     profile = small_twin()
-    assert profile.tracker.pose is not None
-    inside = SphereObstacle(shape="sphere", radius=0.2, pose=Placement(position=profile.tracker.pose.position))
+    x, y, z = sure(profile.tracker.pose).position
     with pytest.raises(InputError, match=r"profile .*: obstacles\.cupboard\.pose: the tracker's head, tracker\.pose"):
-        cell_bodies(with_obstacles(cupboard=inside))
-    base = profile.arms["right"].base
-    assert base is not None
+        cell_bodies(with_obstacles(f"cupboard: {{shape: sphere, radius: 0.2, pose: {{position: [{x}, {y}, {z}]}}}}"))
+    base = sure(profile.arms["right"].base)
     x, y, z = base.position
-    above = SphereObstacle(shape="sphere", radius=0.2, pose=Placement(position=(x, y, z + 0.7)))
     with pytest.raises(InputError, match=r"obstacles\.balloon\.pose: arm right at home reaches \d+ mm into it"):
-        cell_bodies(with_obstacles(balloon=above))
+        cell_bodies(
+            with_obstacles(f"balloon: {{shape: sphere, radius: 0.2, pose: {{position: [{x}, {y}, {z + 0.7}]}}}}")
+        )
     assert home_positions(profile).keys() == {"left", "right"}
 
 

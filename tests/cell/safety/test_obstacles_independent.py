@@ -15,9 +15,11 @@ from cellapp.cell.safety.gate import CellBodies, clear_stops, refuse_motion, ref
 from cellapp.cell.safety.shapes import load_mesh
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.sections import BoxObstacle, CylinderObstacle, MeshObstacle, Placement
+from cellapp.ground.profile.sections import MeshObstacle, Placement
+from tests.approved import assert_refused
 from tests.cell.safety.collision_check import CollisionCheck
 from tests.cell.safety.test_gate import crowded, random_segments
+from tests.sure import sure
 from tests.twin import small_twin
 
 trimesh = pytest.importorskip("trimesh")
@@ -72,23 +74,12 @@ def meshed(profile: Profile, file: Path, **keys: Any) -> Profile:
     return profile.model_copy(update={"obstacles": {**profile.obstacles, "part": part}})
 
 
-@pytest.mark.parametrize(
-    ("name", "words"),
-    [
-        ("open.stl", "the mesh is not closed"),
-        ("cut.stl", "not an STL file, or cut short; export it again"),
-        ("empty.stl", "holds no triangles"),
-        ("words.stl", "not an STL file"),
-        ("box.stl", "reaches 300 m with scale 1; a file in millimetres needs scale 0.001"),
-        ("gone.stl", "cannot be read (No such file or directory)"),
-    ],
-)
-def test_bad_meshes_are_named(folder: Path, name: str, words: str) -> None:
-    with pytest.raises(InputError) as caught:
-        cell_bodies(meshed(crowded(), folder / name))
-    assert "obstacles.part.file: " in str(caught.value)
-    assert name in str(caught.value)
-    assert words in str(caught.value)
+def test_bad_meshes_are_named_as_approved(folder: Path) -> None:
+    assert_refused(
+        Path(__file__).parent / "approved" / "meshes.txt",
+        lambda name: cell_bodies(meshed(crowded(), folder / name)),
+        folder,
+    )
 
 
 def test_without_the_libraries_a_mesh_is_refused_with_what_to_install(
@@ -106,8 +97,7 @@ def test_a_mesh_in_the_beam_hides_the_smr(folder: Path) -> None:
     profile = crowded()
     q = np.random.default_rng(2).uniform(-math.pi, math.pi, (20_000, 6))
     seen = visible(cell_bodies(profile), "left", q)
-    assert profile.tracker.pose is not None
-    x, y, z = profile.tracker.pose.position
+    x, y, z = sure(profile.tracker.pose).position
     wall = Placement(position=(x - 1.0, y + 0.2, z))
     hidden = seen & ~visible(cell_bodies(meshed(profile, folder / "box.stl", scale=0.001, pose=wall)), "left", q)
     assert 5 < hidden.sum() < seen.sum()
@@ -118,22 +108,14 @@ def test_a_mesh_in_the_beam_hides_the_smr(folder: Path) -> None:
 
 def of_all_shapes(folder: Path) -> Profile:
     """The crowded twin with a mesh in the cell, one on a flange and one on a base."""
-    ring, box = str(folder / "ring.stl"), str(folder / "box.stl")
-    more = {
-        "ring": MeshObstacle(shape="mesh", file=ring, pose=Placement(position=(0.45, -0.8, 0.8), rpy=(0.5, 0.3, 0.0))),
-        "tool": MeshObstacle(
-            shape="mesh", file=box, scale=0.0003, fixed_to="flange", arm="right", pose=Placement(position=(0, 0, 0.09))
-        ),
-        "cabinet": MeshObstacle(
-            shape="mesh", file=box, scale=0.001, fixed_to="base", arm="right", pose=Placement(position=(-0.5, 0.3, 0.3))
-        ),
-        "shelf": BoxObstacle(shape="box", fixed_to="base", arm="left", size=(0.3, 0.8, 0.05),
-                             pose=Placement(position=(-0.6, 0.0, 0.7))),
-        "drum": CylinderObstacle(shape="cylinder", fixed_to="flange", arm="left", radius=0.05, length=0.12,
-                                 pose=Placement(position=(0.0, 0.0, 0.1))),
-    }  # fmt: skip
-    profile = crowded()
-    return profile.model_copy(update={"obstacles": {**profile.obstacles, **more}})
+    ring, box = (f"shape: mesh, file: {folder}/{name}.stl" for name in ("ring", "box"))
+    return crowded(f"""
+ring: {{{ring}, pose: {{position: [0.45, -0.8, 0.8], rpy: [0.5, 0.3, 0.0]}}}}
+tool: {{{box}, scale: 0.0003, fixed_to: flange, arm: right, pose: {{position: [0, 0, 0.09]}}}}
+cabinet: {{{box}, scale: 0.001, fixed_to: base, arm: right, pose: {{position: [-0.5, 0.3, 0.3]}}}}
+shelf: {{shape: box, fixed_to: base, arm: left, size: [0.3, 0.8, 0.05], pose: {{position: [-0.6, 0.0, 0.7]}}}}
+drum: {{shape: cylinder, fixed_to: flange, arm: left, radius: 0.05, length: 0.12, pose: {{position: [0, 0, 0.1]}}}}
+""")
 
 
 Motion = tuple[dict[str, np.ndarray], dict[str, np.ndarray]]

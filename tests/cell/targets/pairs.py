@@ -16,6 +16,7 @@ from cellapp.cell.targets.targets import Partner, Target
 from cellapp.robot.kinematics.transforms import Array, invert, transform, zyx_angles
 from cellapp.robot.model import ArmModel, CellModel
 from tests.postures import far_from_singular
+from tests.sure import sure
 
 _NARROWER_RAD = np.radians(2.0)
 """The true flange is turned by some milliradians against the published one: a stop that is planned at the edge of an
@@ -28,8 +29,7 @@ def pair_targets(
     run: RunFile, model: CellModel, stops: Sequence[int], tolerance: float | None = None
 ) -> tuple[Target, ...]:
     """One target for each stop, wanted where the model expects the SMRs there."""
-    plan = run.read_plan()
-    assert plan is not None
+    plan = sure(run.read_plan())
     targets = []
     for stop in stops:
         left, right = (_pose(model.arms[name], plan[name][stop]) for name in ("left", "right"))
@@ -52,8 +52,7 @@ def pair_targets(
 def stops_with_room(run: RunFile, model: CellModel, count: int) -> list[int]:
     """The first stops of a plan that a calibrated cell can repeat with room: SMRs well within sight, arms well apart
     and far from singular postures. Stops that tell most lie at the edges, so that many of a plan have none."""
-    plan = run.read_plan()
-    assert plan is not None
+    plan = sure(run.read_plan())
     q = {name: plan[name] for name in model.arms}
     cell = cell_bodies(run.profile, model)
     arms = {name: replace(arm, acceptance=arm.acceptance - _NARROWER_RAD) for name, arm in cell.arms.items()}

@@ -23,7 +23,8 @@ from cellapp.robot.effects import EFFECTS, EffectTerm
 from cellapp.robot.kinematics.transforms import rotation_zyx, zyx_angles
 from cellapp.robot.model import ArmModel, CellModel
 from tests.postures import far_from_singular
-from tests.twin import PROFILES, small_twin, with_arms
+from tests.sure import sure
+from tests.twin import PROFILES, altered, small_twin, with_arms
 
 TARGETS = load_targets(PROFILES / "targets" / "twin.yaml", small_twin())
 
@@ -53,8 +54,7 @@ def test_commands_are_inside_the_limits_safe_and_seen(
         name = command.target.arm
         others = {other: q[None] for other, q in home.items() if other != name}
         for q in () if command.refusal else (command.q_nominal, command.q_compensated):
-            assert q is not None
-            assert refuse_stop(bodies, {**home, name: q}) == ""
+            assert refuse_stop(bodies, {**home, name: sure(q)}) == ""
         if command.q_compensated is not None:
             assert command.visible == visible(bodies, name, command.q_compensated[None], others)[0]
     assert sum(command.visible or False for command in commands) >= 30
@@ -97,7 +97,7 @@ def test_out_of_reach_out_of_sight_and_unsafe(run: RunFile, model: CellModel) ->
     hidden = [command for command in refused[:-1] if not command.refusal]
     assert len(hidden) >= 3, "production needs no tracker"
     assert not any(command.visible for command in hidden)
-    high = run.profile.model_copy(update={"plan": run.profile.plan.model_copy(update={"floor": 0.05})})
+    high = altered(run.profile, plan={"floor": 0.05})
     refusals = [command.refusal for command in compensate(high, model, TARGETS)]
     assert any("the floor" in refusal for refusal in refusals)
     entry = json.loads(command_record(refused[-1]).model_dump_json())
@@ -112,17 +112,15 @@ def test_out_of_reach_out_of_sight_and_unsafe(run: RunFile, model: CellModel) ->
 def test_whole_turns_bring_a_joint_into_its_limits(run: RunFile, model: CellModel, middle: float) -> None:
     """The last joint may only stand beyond half a turn: the same postures, a turn further on."""
     limits = tuple([(-2 * math.pi, 2 * math.pi)] * 5 + [(middle - 0.5 * math.pi, middle + 0.5 * math.pi)])
-    left = run.profile.arms["left"].model_copy(update={"limits": limits})
-    profile = run.profile.model_copy(update={"arms": {**run.profile.arms, "left": left}})
+    profile = altered(run.profile, arms={"left": {"limits": limits}})
     reached = 0
     for command in compensate(profile, model, TARGETS[:10]):
         if command.q_compensated is not None and command.q_nominal is not None:
             reached += 1
-            assert command.expected_M is not None
             for q in (command.q_compensated, command.q_nominal):
                 assert abs(q[5] - middle) <= 0.5 * math.pi
             predicted = model.predict(command.target.arm, command.q_compensated[None])[0]
-            np.testing.assert_allclose(predicted, command.expected_M, atol=1e-9)
+            np.testing.assert_allclose(predicted, sure(command.expected_M), atol=1e-9)
         else:
             assert command.refusal
     assert reached >= 3
@@ -196,16 +194,12 @@ def test_both_arms_of_a_cooperative_target_hold_it(run: RunFile, model: CellMode
         if one.q_compensated is None or other.q_compensated is None:
             continue
         reached += 1
-        assert one.q_nominal is not None
-        assert other.q_nominal is not None
         assert refuse_stop(cell, {"left": one.q_compensated, "right": other.q_compensated}) == ""
-        assert refuse_stop(cell, {"left": one.q_nominal, "right": other.q_nominal}) == ""
+        assert refuse_stop(cell, {"left": sure(one.q_nominal), "right": sure(other.q_nominal)}) == ""
         assert_reached(model, one)
         assert_reached(model, other)
-        assert one.expected_M is not None
-        assert other.expected_M is not None
         wanted = np.linalg.norm(one.target.partner.position) if one.target.partner else 0.0
-        assert np.linalg.norm(one.expected_M - other.expected_M) == pytest.approx(wanted)
+        assert np.linalg.norm(sure(one.expected_M) - sure(other.expected_M)) == pytest.approx(wanted)
         assert one.conditions is not None
         assert one.conditions.other_q is not None
         np.testing.assert_allclose(one.conditions.other_q[0], other.q_compensated, atol=5e-4, err_msg="but for play")
@@ -215,12 +209,9 @@ def test_both_arms_of_a_cooperative_target_hold_it(run: RunFile, model: CellMode
 
 
 def assert_reached(model: CellModel, command: Command) -> None:
-    assert command.q_compensated is not None
-    assert command.expected_M is not None
-    assert command.residual_um is not None
-    predicted = model.arms[command.arm].predict(command.q_compensated[None], conditions=command.conditions)[0]
-    assert np.linalg.norm(predicted - command.expected_M) < 1e-8
-    assert command.residual_um < 1e-2
+    predicted = model.arms[command.arm].predict(sure(command.q_compensated)[None], conditions=command.conditions)[0]
+    assert np.linalg.norm(predicted - sure(command.expected_M)) < 1e-8
+    assert sure(command.residual_um) < 1e-2
 
 
 def test_arms_that_act_on_each_other_are_solved_together(run: RunFile, model: CellModel) -> None:
@@ -255,18 +246,13 @@ def pedestal_coupling(model: CellModel, name: str) -> EffectTerm:
 def test_if_one_arm_cannot_both_are_refused(run: RunFile, model: CellModel) -> None:
     target = together(model, *safe_pairs(run, model, 1)[0])
     assert target.partner is not None
-    far = target.model_copy(update={"partner": target.partner.model_copy(update={"position": (4.0, 0.0, 0.0)})})
+    far = altered(target, partner={"position": (4.0, 0.0, 0.0)})
     one, other = compensate(run.profile, model, [far])
     assert one.refusal == other.refusal
     assert one.refusal.startswith("arm right: out of reach")
     assert one.q_compensated is None
     assert other.q_compensated is None
-    collision = target.model_copy(
-        update={
-            "name": "meet",
-            "partner": target.partner.model_copy(update={"position": (0.0, 0.0, 0.01), "rpy": None}),
-        }
-    )
+    collision = altered(target, name="meet", partner={"position": (0.0, 0.0, 0.01), "rpy": None})
     meeting, _ = compensate(run.profile, model, [collision])
     assert "arms left and right" in meeting.refusal or "arm right" in meeting.refusal
 

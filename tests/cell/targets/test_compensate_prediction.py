@@ -13,6 +13,7 @@ from cellapp.cell.targets.ranges import ConditionRanges, MeasuringNoise, unknown
 from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
 from cellapp.robot.model import ArmModel, CellModel
 from cellapp.robot.model.model import PosteriorSamples, ReadingsNoise
+from tests.sure import sure
 
 HOME = np.array([0.0, -1.2, 0.8, -1.4, 0.9, 0.0])
 NOTHING = MeasurementConditions()
@@ -140,5 +141,4 @@ def test_what_a_measurement_finds_is_judged_with_all_of_its_scatter(arm: ArmMode
     assert (of_tracker.verdict, of_arm.verdict) == ("not decided", "not decided")
     bound = [of_tracker.within_mm]
     (met,) = predictions(arm, q, NOTHING, bound, HOME, ConditionRanges(noise=exact))
-    assert met is not None
-    assert met.verdict == "in", "the bound that the row states decides"
+    assert sure(met).verdict == "in", "the bound that the row states decides"

@@ -35,7 +35,8 @@ from cellapp.ground.profile.sections import Smr
 from cellapp.interfaces.page.page import certificate_page
 from cellapp.robot.kinematics.transforms import Array, apply, transform
 from cellapp.robot.model import CellModel
-from tests.twin import HIDDEN, PROFILES, finished_twin, small_twin
+from tests.sure import sure
+from tests.twin import HIDDEN, PROFILES, altered, finished_twin, small_twin
 from tests.verbs import certificate_run, export_as_run, push_run
 
 PROFILE = small_twin()
@@ -86,11 +87,10 @@ def probed(stops: int) -> Profile:
     profile = finished_twin(stops)
     left = profile.arms["left"]
     smr = Smr.model_validate({**left.smr.model_dump(), "probe": {"rpy": (0.0, 0.0, 0.3), "sigma": 4e-5}})
-    tolerances = profile.tolerances.model_copy(update={"orientation": TOLERANCE})
     arms = {"left": left.model_copy(update={"smr": smr})}
-    assert profile.plant is not None
-    plant = profile.plant.model_copy(update={"effects": {"left": HIDDEN["left"]}})
-    return profile.model_copy(update={"arms": arms, "tolerances": tolerances, "plant": plant})
+    return altered(
+        profile, arms=arms, tolerances={"orientation": TOLERANCE}, plant={"effects": {"left": HIDDEN["left"]}}
+    )
 
 
 @pytest.fixture(scope="module")
@@ -121,9 +121,7 @@ def test_what_is_predicted_of_the_rotation_holds_when_it_is_measured(run: RunFil
     assert len(kept) == len(LEFT)
     assert np.mean(kept) >= 0.85  # of 20 bounds of 95 %, fewer than 17 hold in 1 of 400 cases
     arm = verified.arms["left"]
-    assert arm.nominal_mrad is not None
-    assert arm.compensated_mrad is not None
-    assert arm.nominal_mrad.mean > 10.0 * arm.compensated_mrad.mean
+    assert sure(arm.nominal_mrad).mean > 10.0 * sure(arm.compensated_mrad).mean
     assert {rotation.verdict for rotation in rotations if rotation is not None} == {"in"}
     assert verified.complaints() == []
     (table,) = measured_angle_tables(verified)
@@ -131,12 +129,10 @@ def test_what_is_predicted_of_the_rotation_holds_when_it_is_measured(run: RunFil
 
 
 def test_the_nominal_command_is_off_by_what_was_predicted(run: RunFile, verified: VerifyResult) -> None:
-    stored = read_results(run).compensate
-    assert stored is not None
+    stored = sure(read_results(run).compensate)
     for command, measured in zip(stored.targets, verified.targets, strict=True):
-        assert command.orientation is not None
         assert measured.orientation is not None
-        assert command.orientation.nominal_mrad == pytest.approx(measured.orientation.nominal_mrad, abs=0.3)
+        assert sure(command.orientation).nominal_mrad == pytest.approx(measured.orientation.nominal_mrad, abs=0.3)
     assert angle_tables(stored)
     assert any("95 % bound of the measured rotation" in str(part) for part in compensated_view(stored).parts)
 
@@ -147,10 +143,8 @@ def test_verdicts_follow_the_one_rule(run: RunFile, model: CellModel) -> None:
     named.append(LEFT[0].model_copy(update={"name": "free", "rpy": None, "orientation_tolerance": None}))
     found = [command_record(one) for one in compensate(run.profile, model, named)]
     rotations = [one.orientation for one in found]
-    assert rotations[0] is not None
-    assert rotations[1] is not None
     assert rotations[2] is not None
-    assert (rotations[0].verdict, rotations[1].verdict, rotations[2].verdict) == ("in", "not decided", "")
+    assert (sure(rotations[0]).verdict, sure(rotations[1]).verdict, rotations[2].verdict) == ("in", "not decided", "")
     assert rotations[2].nominal_mrad is None
     assert rotations[2].within_mrad > 0.0
 
@@ -166,9 +160,7 @@ def test_a_stored_measurement_is_not_one_of_another_tolerance(run: RunFile, veri
 def test_an_error_beyond_its_tolerance_is_a_complaint(verified: VerifyResult) -> None:
     first = verified.targets[0]
     assert first.orientation is not None
-    beyond = first.model_copy(
-        update={"orientation": first.orientation.model_copy(update={"final_mrad": 0.9, "verdict": "not decided"})}
-    )
+    beyond = altered(first, orientation={"final_mrad": 0.9, "verdict": "not decided"})
     result = verified.model_copy(update={"targets": (beyond, *verified.targets[1:])})
     (complaint,) = result.complaints()
     assert f"{first.name} (0.900 mrad, tolerance 0.5 mrad)" in complaint
@@ -180,10 +172,9 @@ def test_the_certificate_states_rotations_with_their_own_budget(run: RunFile, ve
     errors = made.arms["left"].errors
     assert errors.left_mrad == verified.arms["left"].compensated_mrad
     assert errors.predicted_left_mrad is not None
-    assert made.orientation_contributions is not None
-    assert made.orientation_contributions[0].source == "6-D probe"
+    assert sure(made.orientation_contributions)[0].source == "6-D probe"
     assert made.arms["left"].expanded_mrad == pytest.approx(
-        2.0 * np.linalg.norm([one.standard_mrad or np.nan for one in made.orientation_contributions])
+        2.0 * np.linalg.norm([one.standard_mrad or np.nan for one in sure(made.orientation_contributions)])
     )
     titles = [table.title for table in certificate_tables(made)]
     assert "Errors of orientation as found and as left [mrad]" in titles
@@ -205,7 +196,6 @@ def test_what_a_rigid_chain_loses_is_stated_of_the_rotation_too(run: RunFile, mo
     readings, arm = run.readings("left"), model.arms["left"]
     space = workspace(readings.q, measurement_conditions(readings), 0)
     lost = lost_by(arm.geometry, arm, space)
-    assert lost.rms_mrad is not None
-    assert lost.rms_mrad > 0.05
+    assert sure(lost.rms_mrad) > 0.05
     assert "mrad rms" in lost.words
     assert lost_by(arm.of_positions().geometry, arm.of_positions(), space).rms_mrad is None

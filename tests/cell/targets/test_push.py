@@ -5,8 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
@@ -14,7 +12,7 @@ import numpy as np
 import pytest
 
 from cellapp.cell.driving import target_visit
-from cellapp.cell.driving.cell import Cell, open_cell
+from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.motion import Mover
 from cellapp.cell.driving.target_visit import push
 from cellapp.cell.run import RunFile
@@ -38,7 +36,8 @@ from cellapp.robot.model import CellModel
 from drivers.plant import Clearance
 from tests.cell.planning.planned_cells import three_arms
 from tests.cell.targets.pairs import pair_targets, stops_with_room
-from tests.twin import PROFILES, plant_of, small_twin
+from tests.sure import sure
+from tests.twin import PROFILES, altered, opening, plant_of, small_twin
 from tests.verbs import push_run
 
 ALL = load_targets(PROFILES / "targets" / "twin.yaml", small_twin())
@@ -53,8 +52,7 @@ def commands(run: RunFile, model: CellModel) -> tuple[Command, ...]:
 
 def clearance_of(cell: Cell) -> Clearance:
     """Smallest distances during the motions of a watched cell."""
-    clearance = plant_of(cell).clearance
-    assert clearance is not None
+    clearance = sure(plant_of(cell).clearance)
     return clearance
 
 
@@ -146,13 +144,7 @@ def test_a_fault_on_the_way_stops_everything(
 ) -> None:
     opened: list[Any] = []
 
-    @contextmanager
-    def failing(profile: Any, **options: Any) -> Iterator[Cell]:
-        with open_cell(profile, **options) as cell:
-            opened.append(cell)
-            yield cell
-
-    monkeypatch.setattr("cellapp.cell.driving.supervision.open_cell", failing)
+    monkeypatch.setattr("cellapp.cell.driving.supervision.open_cell", opening(opened.append))
     control = JobControl(lambda event: opened[0].arms["left"].protective_stop() if event.done == 2 else None)
     with pytest.raises(HardwareError, match="arm left: protective stop"):
         push(run.profile, model, commands, control, verify=True)
@@ -171,16 +163,14 @@ def test_tolerances_are_predicted_measured_and_complained_about(run: RunFile, mo
     commands = compensate(run.profile, model, (*targets, FAR.model_copy(update={"tolerance": 1e-3})))
     predicted = CompensateResult(targets=tuple(map(command_record, commands)))
     wide, narrow, none, far = predicted.targets
-    assert wide.uncertainty_mm is not None
-    assert 0.0 < wide.uncertainty_mm < 0.1
+    assert 0.0 < sure(wide.uncertainty_mm) < 0.1
     assert (wide.verdict, narrow.verdict, none.verdict, far.verdict) == ("in", "out", "", "")
     assert wide.tolerance_mm == pytest.approx(2.0)
     said = [str(row[-1]).split(":")[0] for row in predicted_tables(predicted)[0].rows]
     assert said == ["in", "out", "out of reach"]
     found = push(run.profile, model, commands, verify=True, judge=judge_of(run, run.profile))
     assert [target.verdict for target in found.targets] == ["in", "not decided", "", ""], "guarded: U is some 40 um"
-    assert found.targets[1].expanded_mm is not None
-    assert 0.03 < found.targets[1].expanded_mm < 0.08
+    assert 0.03 < sure(found.targets[1].expanded_mm) < 0.08
     unknown = push(run.profile, model, commands[:1], verify=True, judge=Judge(run.profile))
     assert unknown.targets[0].verdict == "not decided", "nobody gave what the arm's readings scatter by"
     (complaint,) = found.complaints()
@@ -210,11 +200,9 @@ TARGETS_OF_PUSH_CELLS = load_targets(PROFILES / "targets" / "twin.yaml", small_t
 
 def exact(profile: Profile) -> tuple[Profile, CellModel]:
     """The profile's cell without any error of its geometry, and the nominal model of it."""
-    assert profile.plant is not None
-    assert profile.tracker.pose is not None
-    zero = profile.plant.geometry.model_copy(update=dict.fromkeys(type(profile.plant.geometry).model_fields, 0.0))
-    plant = profile.plant.model_copy(update={"geometry": zero, "effects": {}})
-    profile = profile.model_copy(update={"plant": plant})
+    profile = altered(
+        profile, plant={"geometry": dict.fromkeys(type(sure(profile.plant).geometry).model_fields, 0.0), "effects": {}}
+    )
     return profile, CellModel({name: nominal_model(profile, name) for name in profile.arms})
 
 
@@ -260,11 +248,8 @@ def test_both_arms_are_measured_at_each_cooperative_target(
         assert pair.wanted_mm == pytest.approx(wanted)
         assert pair.compensated_mm == pytest.approx(abs(measured - wanted))
         assert pair.verdict == "in"
-        assert left.within_mm is not None
-        assert 0.02 < left.within_mm < 0.5
-        assert left.measured_M is not None
-        assert left.predicted_M is not None
-        assert math.dist(left.measured_M, left.predicted_M) < 0.2e-3
+        assert 0.02 < sure(left.within_mm) < 0.5
+        assert math.dist(sure(left.measured_M), sure(left.predicted_M)) < 0.2e-3
     assert found.cooperative is not None
     assert found.cooperative.compensated_mm.n == len(stops)
     assert found.cooperative.nominal_mm.mean > 10.0 * found.cooperative.compensated_mm.mean
@@ -313,5 +298,4 @@ def test_arms_that_may_not_move_together_go_one_after_the_other(
     monkeypatch.setattr(Mover, "refusal", refusal)
     found = push(run.profile, model, pairs[:2], verify=True)
     assert [target.note for target in found.targets] == ["", ""]
-    assert found.pairs[0].compensated_mm is not None
-    assert found.pairs[0].compensated_mm < 0.2
+    assert sure(found.pairs[0].compensated_mm) < 0.2

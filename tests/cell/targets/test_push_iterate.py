@@ -43,7 +43,8 @@ from drivers.trackers.protocol import TargetLost
 from tests.cell.targets.pairs import pair_targets, stops_with_room
 from tests.crossed_beam import crossed_beam
 from tests.robot.paths.test_paths import distances_m
-from tests.twin import PROFILES, plant_of, small_twin
+from tests.sure import sure
+from tests.twin import PROFILES, altered, plant_of, small_twin
 from tests.verbs import push_run
 
 ALL = load_targets(PROFILES / "targets" / "twin.yaml", small_twin())
@@ -72,8 +73,7 @@ def wanted_beside(command: Command, way_M: np.ndarray) -> Command:
 
     How far off the model alone is depends on the plan; the start of a correction must not.
     """
-    assert command.expected_M is not None
-    return replace(command, expected_M=command.expected_M + START_M * way_M / np.linalg.norm(way_M))
+    return replace(command, expected_M=sure(command.expected_M) + START_M * way_M / np.linalg.norm(way_M))
 
 
 @pytest.mark.parametrize(("repeatability", "floor_mm"), [(0.0, 40e-3), (20e-6, 55e-3)])
@@ -82,10 +82,8 @@ def test_rounds_fall_to_what_tracker_and_repeatability_allow(
 ) -> None:
     """3 to 4 m away the tracker scatters by 17 um across the beam in each of two directions, and a correction has the
     noise of two measurements; joints that repeat to 20 urad scatter the SMR by as much again."""
-    assert run.profile.plant is not None
-    plant = run.profile.plant.model_copy(update={"repeatability": repeatability})
     beside = [wanted_beside(command, np.array([1.0, -1.0, 1.0])) for command in commands]
-    found = push(run.profile.model_copy(update={"plant": plant}), geometric, beside, verify=True, rounds=5)
+    found = push(altered(run.profile, plant={"repeatability": repeatability}), geometric, beside, verify=True, rounds=5)
     assert [target.note for target in found.targets] == [""] * len(TARGETS)
     for name in ("left", "right"):
         own = [target for target in found.targets if target.arm == name]
@@ -94,8 +92,7 @@ def test_rounds_fall_to_what_tracker_and_repeatability_allow(
         kept = np.mean([target.final_mm for target in own if target.final_mm is not None])
         assert alone > 2.0 * kept
         summary = found.arms[name]
-        assert summary.corrected_mm is not None
-        assert summary.corrected_mm.mean == pytest.approx(kept)
+        assert sure(summary.corrected_mm).mean == pytest.approx(kept)
         assert summary.compensated_mm.mean == pytest.approx(alone)
     assert np.mean([target.final_mm for target in found.targets if target.final_mm is not None]) < floor_mm
     for command, target in zip(commands, found.targets):
@@ -104,8 +101,7 @@ def test_rounds_fall_to_what_tracker_and_repeatability_allow(
             continue
         assert target.corrected_mm in target.rounds_mm[1:]
         assert target.corrected_mm < target.rounds_mm[0]
-        assert command.q_compensated is not None
-        assert 0.0 < np.abs(np.subtract(target.q_corrected, command.q_compensated)).max() < 1e-2
+        assert 0.0 < np.abs(np.subtract(target.q_corrected, sure(command.q_compensated))).max() < 1e-2
     assert any(line.startswith("the model alone came to ") for line in verify_lines(found))
 
 
@@ -116,9 +112,7 @@ def test_both_arms_of_a_pair_are_corrected(run: RunFile, geometric: CellModel, m
     commands = compensate(run.profile, lacking, pair_targets(run, lacking, stops_with_room(run, lacking, PAIRS)))
     apart = []
     for left, right in zip(commands[::2], commands[1::2], strict=True):
-        assert left.expected_M is not None
-        assert right.expected_M is not None
-        apart += [wanted_beside(left, left.expected_M - right.expected_M), right]
+        apart += [wanted_beside(left, sure(left.expected_M) - sure(right.expected_M)), right]
     found = push(run.profile, lacking, apart, verify=True, rounds=4)
     assert [pair.note for pair in found.pairs] == [""] * PAIRS
     final_mm = [pair.final_mm for pair in found.pairs if pair.final_mm is not None]
@@ -145,9 +139,8 @@ def test_an_error_below_the_noise_is_not_made_worse_and_no_improvement_is_report
     for command in compensate(run.profile, model, ALL):
         if command.refusal:
             continue
-        assert command.q_compensated is not None
         side = np.array([command.approach or (0,) * 6], dtype=float)
-        true_M = plant.smr_positions(command.arm, command.q_compensated[None], approach=side)[0]
+        true_M = plant.smr_positions(command.arm, sure(command.q_compensated)[None], approach=side)[0]
         beside.append(replace(command, expected_M=true_M + np.array([4.5e-6, 0.0, 0.0])))
     found = push(run.profile, model, beside, verify=True, rounds=3)
     assert len(found.targets) >= 30
@@ -163,8 +156,7 @@ def test_a_correction_that_leads_too_far_is_refused(
 ) -> None:
     """A target wanted 15 mm from where its command leads: what is measured is as far off, whatever the reason."""
     first = commands[0]
-    assert first.expected_M is not None
-    mad = replace(first, expected_M=first.expected_M + np.array([0.0, 0.0, 0.015]))
+    mad = replace(first, expected_M=sure(first.expected_M) + np.array([0.0, 0.0, 0.015]))
     found = push(run.profile, geometric, [mad, commands[1]], verify=True, rounds=3)
     assert found.targets[0].note.startswith("correction refused: it leads 14.")
     assert len(found.targets[0].rounds_mm) == 1
@@ -188,8 +180,7 @@ def test_a_stated_approach_is_kept_with_every_command(run: RunFile, model: CellM
     found = push(run.profile, model, compensate(run.profile, model, targets), verify=True, rounds=1)
     for target in found.targets:
         assert target.note == ""
-        assert target.approach is not None
-        assert target.approach[:3] == sides[:3]
+        assert sure(target.approach)[:3] == sides[:3]
     assert found.arms["right"].compensated_mm.mean < 40e-3
 
 
@@ -237,8 +228,7 @@ def test_a_path_is_written_and_stored_and_nothing_moves(run: RunFile, cells: lis
     assert PathResult.from_json(result.to_json(), "test") == result
     near, far = result.paths
     assert near.refusal == ""
-    assert near.deviation_mm is not None
-    assert near.deviation_mm < 0.01
+    assert sure(near.deviation_mm) < 0.01
     assert {one.joint for one in near.reversals} <= {1, 2, 3}  # the joints with play
     assert "out of reach" in far.refusal
     assert result.complaints() == [f"path far refused {far.refusal}"]
@@ -259,8 +249,7 @@ def test_a_program_streams_the_path_from_home_and_back(run: RunFile, model: Cell
     assert "  # path far: left out: " in text
     sent = re.findall(r"^  (movej|servoj)\(\[(.*?)\]", text, re.MULTILINE)
     motions = [(word, np.array(q.split(", "), float)) for word, q in sent]
-    trajectory = plan_path(run.profile, model, spec(), 0.008).trajectory
-    assert trajectory is not None
+    trajectory = sure(plan_path(run.profile, model, spec(), 0.008).trajectory)
     home = np.array(run.profile.arms["right"].home)
     assert [word for word, _ in motions[:3]] == ["movej"] * 3
     for _, q in (motions[0], motions[-1]):
@@ -295,22 +284,18 @@ def off_m(run: RunFile, model: CellModel, plan: PathPlan) -> Array:
     """Distances (n,) [m] of the measured SMR from a path that the simulated arm follows."""
     control = JobControl()
     path, trajectory, before = plan.path, plan.trajectory, plan.run_up
-    assert path is not None
-    assert trajectory is not None
-    assert before is not None
     with moving_cell(run.profile, model, control, slow_visits=None) as moving:
 
         def begin() -> None:
-            for q in (before, trajectory.q[0]):
+            for q in (sure(before), sure(trajectory).q[0]):
                 moving.mover.go_home_unless_clear("right", q)
                 moving.mover.move({"right": q})
 
         driver = PathDriver(moving.cell, moving.mover, moving.reaction, control)
-        found = driver.drive("right", trajectory, begin, path.positions(np.zeros(1))[0])
-        clearance = plant_of(moving.cell).clearance
-        assert clearance is not None
+        found = driver.drive("right", sure(trajectory), begin, sure(path).positions(np.zeros(1))[0])
+        clearance = sure(plant_of(moving.cell).clearance)
         assert min(clearance.arms_m, clearance.floor_m) > 0.0
-    return distances_m(path, found.p_M)
+    return distances_m(sure(path), found.p_M)
 
 
 def test_the_true_smr_keeps_the_tolerance_and_would_not_without_its_plays(

@@ -36,7 +36,8 @@ from cellapp.robot.model import CellModel
 from drivers.arms.protocol import ArmIdentity
 from drivers.arms.simulated import SimulatedArm
 from tests.arms import UR5
-from tests.twin import PROFILES, plant_of, small_twin
+from tests.sure import sure
+from tests.twin import PROFILES, altered, plant_of, small_twin
 from tests.verbs import export_as_run, import_new_run, push_run
 
 ALL = load_targets(PROFILES / "targets" / "twin.yaml", small_twin())
@@ -89,7 +90,7 @@ def test_another_smr_mount_is_refused(
     run: RunFile, model: CellModel, commands: tuple[Command, ...], cells: list[Any], changes: dict[str, Any], words: str
 ) -> None:
     left = run.profile.arms["left"]
-    edited = left.model_copy(update={"smr": left.smr.model_copy(update=changes)})
+    edited = altered(left, smr=changes)
     profile = run.profile.model_copy(update={"arms": {**run.profile.arms, "left": edited}})
     with pytest.raises(InputError, match=f"arm left: {words}"):
         push(profile, model, commands, verify=True)
@@ -187,8 +188,7 @@ def test_what_was_measured_before_a_stop_is_kept(run: RunFile, cells: list[Any])
     control = JobControl(lambda event: control.stop() if event.done == 3 else None)
     with pytest.raises(Cancelled):
         push_run(run, TARGETS, control, verify=True)
-    stored = read_results(run).verify
-    assert stored is not None
+    stored = sure(read_results(run).verify)
     assert [target.name for target in stored.targets] == [target.name for target in TARGETS[:3]]
     assert stored.stopped.startswith("stopped after 3 of 6 targets: ")
     assert stored.complaints()[0] == stored.stopped
@@ -256,8 +256,7 @@ def errors_and_parts(
 ) -> tuple[np.ndarray, np.ndarray, list[str]]:
     """True errors (n, 3) [mm] of the left arm, whose joints give way, where its planned stops were; the uncertainty
     (n,) of its position, notes."""
-    plan = run.read_plan()
-    assert plan is not None
+    plan = sure(run.read_plan())
     p_M = model.arms["left"].predict(plan["left"])
     rotation_M, _ = model.arms["left"].flange(plan["left"])
     loaded = WorkingConditions(payload=load_kg)

@@ -14,6 +14,7 @@ from cellapp.cell.targets.targets import Partner, Target, WorkingConditions, loa
 from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.transforms import rotation_zyx
 from tests.approved import assert_refused
+from tests.sure import sure
 from tests.twin import small_twin
 
 PROFILE = small_twin()
@@ -29,13 +30,6 @@ def path(tmp_path: Path) -> Path:
 def loaded(path: Path, *lines: str) -> tuple[Target, ...]:
     path.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
     return load_targets(path, PROFILE)
-
-
-def refusal(path: Path, *lines: str) -> str:
-    """The message, without the folder of the file."""
-    with pytest.raises(InputError) as told:
-        loaded(path, *lines)
-    return str(told.value).replace(f"{path.parent}/", "")
 
 
 def test_a_byte_order_mark_quotes_spaces_and_blank_rows(path: Path) -> None:
@@ -75,13 +69,12 @@ def test_quaternions_and_rotation_vectors(path: Path) -> None:
     header = f"{HEADER},qw,qx,qy,qz,rx_deg,ry_deg,rz_deg"
     targets = loaded(path, header, f"{ROW},{quaternion}", f"two{ROW[3:]},{vector}", f"three{ROW[3:]},,,,,,,")
     for target in targets[:2]:
-        assert target.rpy is not None
-        np.testing.assert_allclose(rotation_zyx(*target.rpy[::-1]), rotation.as_matrix(), rtol=0.0, atol=1e-14)
+        np.testing.assert_allclose(rotation_zyx(*sure(target.rpy)[::-1]), rotation.as_matrix(), rtol=0.0, atol=1e-14)
     assert targets[2].rpy is None
 
 
 def test_headers_and_rows_that_are_refused(path: Path) -> None:
-    assert_refused(Path(__file__).parent / "approved" / "refused-csv.txt", partial(refusal, path))
+    assert_refused(Path(__file__).parent / "approved" / "refused-csv.txt", partial(loaded, path), path.parent)
 
 
 def test_a_file_that_is_missing_or_no_text(path: Path) -> None:
@@ -98,8 +91,7 @@ def test_a_yaml_file_gives_a_csv_file_work_frames_and_conditions(path: Path) -> 
     head = "schema: cellapp-targets\nversion: 1\ntargets: targets.csv\nconditions: {left: {payload: 2 kg}}\n"
     yaml.write_text(head + "frames:\n  table: {in: tracker, origin: [1, 2, 3], x: [2, 2, 3], xy: [1, 3, 3]}\n")
     one, two = load_targets(yaml, PROFILE)
-    assert one.work_frame is not None
-    assert one.work_frame.name == "table"
+    assert sure(one.work_frame).name == "table"
     assert two.work_frame is None
     assert one.conditions == two.conditions == WorkingConditions(payload=2.0)
     yaml.write_text(head)

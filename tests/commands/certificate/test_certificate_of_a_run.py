@@ -22,6 +22,7 @@ from cellapp.ground.profile import Profile
 from cellapp.ground.results import CERTIFICATE, VERIFY
 from cellapp.interfaces.page.page import certificate_page
 from cellapp.robot.model import CellModel
+from tests.sure import sure
 from tests.twin import small_twin
 from tests.verbs import certificate_run
 
@@ -73,8 +74,7 @@ def test_a_certificate_states_what_the_run_holds(certified: Path) -> None:
     found = stored(certified)
     with RunFile.open(certified) as run:
         results = read_results(run)
-    assert results.verify is not None
-    for name, verified in results.verify.arms.items():
+    for name, verified in sure(results.verify).arms.items():
         errors = found.arms[name].errors
         assert (errors.found, errors.left) == (verified.nominal_mm, verified.compensated_mm)
         assert found.arms[name].controller_serial == f"SIM-{name}"
@@ -124,8 +124,7 @@ def test_a_changed_certificate_is_not_that_of_the_run(changeable: Path) -> None:
 
 def test_a_verification_since_is_found(changeable: Path) -> None:
     with RunFile.open(changeable, write=True) as run:
-        verify = read_results(run).verify
-        assert verify is not None
+        verify = sure(read_results(run).verify)
         again = verify.model_copy(update={"stopped": "by hand"})
         append_stage(run, VERIFY, again, read_stages(run).current[VERIFY].basis)
         assert read_stages(run).out_of_date[CERTIFICATE] == "targets were verified since"
@@ -157,9 +156,8 @@ def test_a_certificate_names_who_how_and_where(finished_copy: Path, tmp_path: Pa
     with RunFile.open(finished_copy, write=True) as run:
         made = certificate_run(run, certificate_page, data=data)
         verify = read_results(run).verify
-    assert verify is not None
     assert [(one.name, one.wanted_M) for one in made.targets] == [
-        (one.name, None if one.wanted_M is None else tuple(one.wanted_M)) for one in verify.targets
+        (one.name, None if one.wanted_M is None else tuple(one.wanted_M)) for one in sure(verify).targets
     ]
     page = (finished_copy / PAGE_FILE).read_text("utf-8")
     for words in ("Client Ltd, Town", "WI-17 rev. 3", "1005.5 hPa", "40 to 45 %", "copied as a whole", "Method:"):
@@ -201,8 +199,7 @@ def test_a_signed_certificate_is_never_replaced(changeable: Path, tmp_path: Path
         assert len(run.stage_rows()) == count
         certificate_run(run, certificate_page, out=tmp_path / "elsewhere", number="QA 2026/17")
         assert complaints_of(run) == []
-        verify = read_results(run).verify
-        assert verify is not None
+        verify = sure(read_results(run).verify)
         again = verify.model_copy(update={"stopped": "by hand"})
         append_stage(run, VERIFY, again, read_stages(run).current[VERIFY].basis)
         certificate_run(run, certificate_page, out=tmp_path / "again")

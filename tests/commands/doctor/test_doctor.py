@@ -23,7 +23,6 @@ from cellapp.commands.doctor.run import _end_left_programs, examine_run
 from cellapp.commands.emulate import emulate, emulated_arms
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.sections import BoxObstacle, CapsuleObstacle, Placement, SphereObstacle
 from cellapp.ground.progress import JobToken
 from drivers.arms.protocol import JointLimits, LinkLost
 from drivers.arms.ur_probe import UrKinematics, UrProbe, probe_ur
@@ -33,9 +32,8 @@ from drivers.emulators.ur_controller import FREE_PORTS, ControllerConfig, UrCont
 from drivers.findings import Finding
 from drivers.plant import Plant
 from tests.approved import assert_approved
-from tests.cell.safety.test_gate import with_obstacles
 from tests.commands.emulated_cell import on_free_ports, quiet_work
-from tests.twin import PROFILES, small_twin
+from tests.twin import PROFILES, altered, small_twin, with_arm, with_obstacles
 
 PATIENT_S = 10.0
 SAMPLE = UrSample(
@@ -69,14 +67,8 @@ READY = UrProbe(
 )
 
 
-def change(profile: Profile, arm: str, **changes: object) -> Profile:
-    """A profile with another driver section or the like for one arm."""
-    changed = profile.arms[arm].model_copy(update=changes)
-    return profile.model_copy(update={"arms": {**profile.arms, arm: changed}})
-
-
 def with_driver(profile: Profile, arm: str, **changes: object) -> Profile:
-    return change(profile, arm, driver=profile.arms[arm].driver.model_copy(update=changes))
+    return with_arm(profile, arm, driver=changes)
 
 
 def findings(profile: Profile, said: Callable[[str, float], UrProbe] = probe_ur) -> dict[str, Finding]:
@@ -159,29 +151,28 @@ SAID = {
 }
 
 
+OBSTACLES = """
+table: {shape: box, size: [1.0, 3.0, 0.1], pose: {position: [0.0, 0.0, -0.15]}}
+lamp: {shape: sphere, radius: 0.1, pose: {position: [0.0, 0.0, 1.0]}}
+tool: {shape: box, fixed_to: flange, arm: left, size: [0.1, 0.1, 0.1]}
+hose: {shape: capsule, fixed_to: flange, arm: right, radius: 0.02, length: 0.1}
+"""
+
+
 def unsafe(twin: Profile) -> dict[str, Profile]:
     """Simulated cells that are not safe, or not whole."""
-    right, left = twin.arms["right"], twin.arms["left"]
-    assert twin.plant is not None
-    witchcraft = twin.plant.model_copy(update={"effects": {"left": {"witchcraft": {}}}})
-    near = SphereObstacle(shape="sphere", radius=0.1, pose=Placement(position=(0.0, -0.62, 0.5)))
-    inside = near.model_copy(update={"pose": Placement(position=(0.0, -0.85, 0.5))})
+    near, inside = (
+        f"post: {{shape: sphere, radius: 0.1, pose: {{position: [0.0, {y}, 0.5]}}}}" for y in (-0.62, -0.85)
+    )
     return {
         "readings from a file": load_profile(PROFILES / "ur10-real.yaml"),
-        "home in the floor": change(twin, "left", home=(0.0, 0.6, 0.0, -1.5, 0.0, 0.0)),
-        "no bodies": change(twin, "right", type=right.type.model_copy(update={"capsules": ()})),
-        "an SMR that is never seen": change(
-            twin, "left", smr=left.smr.model_copy(update={"normal": (0.0, 0.0, -1.0), "acceptance": 0.1})
-        ),
-        "an unknown effect": twin.model_copy(update={"plant": witchcraft}),
-        "obstacles": with_obstacles(
-            table=BoxObstacle(shape="box", size=(1.0, 3.0, 0.1), pose=Placement(position=(0.0, 0.0, -0.15))),
-            lamp=SphereObstacle(shape="sphere", radius=0.1, pose=Placement(position=(0.0, 0.0, 1.0))),
-            tool=BoxObstacle(shape="box", fixed_to="flange", arm="left", size=(0.1, 0.1, 0.1)),
-            hose=CapsuleObstacle(shape="capsule", fixed_to="flange", arm="right", radius=0.02, length=0.1),
-        ),
-        "an obstacle too near to home": with_obstacles(small_twin(plan={"clearance": 0.08}), post=near),
-        "an obstacle around an arm": with_obstacles(post=inside),
+        "home in the floor": with_arm(twin, "left", home=(0.0, 0.6, 0.0, -1.5, 0.0, 0.0)),
+        "no bodies": with_arm(twin, "right", type={"capsules": ()}),
+        "an SMR that is never seen": with_arm(twin, "left", smr={"normal": (0.0, 0.0, -1.0), "acceptance": 0.1}),
+        "an unknown effect": altered(twin, plant={"effects": {"left": {"witchcraft": {}}}}),
+        "obstacles": with_obstacles(OBSTACLES),
+        "an obstacle too near to home": with_obstacles(near, small_twin(plan={"clearance": 0.08})),
+        "an obstacle around an arm": with_obstacles(inside),
     }
 
 
@@ -194,7 +185,7 @@ def stated(real: Profile) -> dict[str, tuple[Profile, UrProbe]]:
     return {
         "TCP and checksum as stated": (with_driver(real, "left", tcp=tcp, checksum=CHECKSUM), CALIBRATED),
         "TCP and checksum of others": (with_driver(real, "left", **wrong), CALIBRATED),
-        "seven joints": (change(real, "left", type=seven, home=(*(arm.home or ()), 0.0), limits=None), READY),
+        "seven joints": (with_arm(real, "left", type=seven, home=(*(arm.home or ()), 0.0), limits=None), READY),
         "two arms at one address": (with_driver(real, "right", host="192.168.0.10"), READY),
     }
 
@@ -291,9 +282,9 @@ def test_ur_arms_are_stood_in_for_on_loopback_hosts_only(real: Profile) -> None:
 def test_only_ur_arms_are_stood_in_for(twin: Profile) -> None:
     other = twin.arms["left"].type.model_copy(update={"model": "IRB 120"})
     with pytest.raises(InputError, match="IRB 120"):
-        emulated_arms(change(twin, "left", type=other))
+        emulated_arms(with_arm(twin, "left", type=other))
     e_series = twin.arms["left"].type.model_copy(update={"model": "UR10e"})
-    controller = emulated_arms(change(twin, "left", type=e_series))[0].controller
+    controller = emulated_arms(with_arm(twin, "left", type=e_series))[0].controller
     assert (controller.series, controller.model) == ("e-Series", "UR10")
 
 

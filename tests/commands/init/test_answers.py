@@ -25,6 +25,7 @@ from cellapp.robot.model.nominal import nominal_arm, pose_matrix
 from tests.approved import assert_approved
 from tests.arms import UR5, UR10
 from tests.cell.run.small_runs import import_csv
+from tests.sure import sure
 from tests.twin import PROFILES
 
 APPROVED = Path(__file__).parent / "approved"
@@ -73,8 +74,7 @@ def test_answers_make_a_profile_with_the_surveyed_base(joints: bool, tmp_path: P
     path = Path(result.profile)
     assert path == tmp_path / "profiles" / "hall-3.yaml"
     profile = load_profile(path)
-    base = profile.arms["left"].base
-    assert base is not None
+    base = sure(profile.arms["left"].base)
     assert np.allclose(pose_matrix(base), pose_matrix(TRUE_BASE), atol=1e-4)
     assert result.notes[0].startswith("arm left: 4 points fit to 0.00 mm rms")
     assert "# Base from tracker points, arm left: 4 points fit to" in path.read_text("utf-8")
@@ -163,8 +163,7 @@ def test_a_german_table_becomes_a_run(tmp_path: Path) -> None:
     assert written.notes[-1].endswith("arm, units and signs fit")
     profile = load_profile(Path(written.profile))
     assert (profile.name, list(profile.arms), profile.arms["robot"].driver.kind) == ("meine-messung", ["robot"], "none")
-    assert written.readings is not None
-    with import_csv(profile, Path(written.readings), tmp_path / "run") as run:
+    with import_csv(profile, Path(sure(written.readings)), tmp_path / "run") as run:
         np.testing.assert_allclose(run.readings("robot").q, q, atol=1e-9)
         np.testing.assert_allclose(run.readings("robot").p_M, p_M, atol=1e-9)
     shown = view(written)

@@ -147,6 +147,20 @@ class Heard:
         return self.faults[0]
 
 
+def go(arm: UrArm, q: np.ndarray) -> None:
+    """Move to ``q`` and rest there."""
+    arm.start_move(q, SPEED, ACCELERATION)
+    state = arm.wait_settled(PATIENT_S)
+    assert not state.moving
+    np.testing.assert_allclose(state.q, q, atol=1e-6)
+
+
+def set_out(arm: UrArm) -> None:
+    """Be on the way from HOME to FAR."""
+    arm.start_move(FAR, UNHURRIED, ACCELERATION)
+    until(lambda: abs(arm.state().q[0] - HOME[0]) > 0.1, "the arm moves")
+
+
 def pause(seconds: float) -> None:
     threading.Event().wait(seconds)
 

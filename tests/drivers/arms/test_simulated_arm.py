@@ -12,6 +12,7 @@ from drivers.arms.protocol import ArmError, EmergencyStop, LimitExceeded, LinkLo
 from drivers.arms.simulated import CYCLE_S, SimulatedArm
 from drivers.plant.motion import braked, travel
 from drivers.plant.servo import GAIN, LOOKAHEAD_S, ServoMotion, servo_rate
+from tests.sure import sure
 
 SPEED, ACCELERATION = np.full(6, 1.0), np.full(6, 2.0)
 
@@ -32,7 +33,7 @@ angles = st.lists(st.floats(-6, 6), min_size=6, max_size=6).map(np.array)
 limits = st.lists(st.floats(0.05, 3), min_size=6, max_size=6).map(np.array)
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(start=angles, goal=angles, speed=limits, acceleration=limits)
 def test_a_motion_is_straight_and_within_limits(start, goal, speed, acceleration):
     motion = travel(3.0, start, goal, speed, acceleration)
@@ -55,15 +56,14 @@ def test_a_motion_is_straight_and_within_limits(start, goal, speed, acceleration
     assert (np.diff(share) >= -1e-12).all()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(goal=angles, speed=limits, acceleration=limits, share=st.floats(0.01, 0.99))
 def test_braking_follows_the_path_and_never_passes_its_end(goal, speed, acceleration, share):
     motion = travel(0.0, np.zeros(6), goal, speed, acceleration)
     if motion is None:
         return
     now = share * motion.duration_s
-    rest = braked(motion, now, acceleration)
-    assert rest is not None
+    rest = sure(braked(motion, now, acceleration))
     q, velocity = motion.position(np.array([now]))[0], motion.velocity(np.array([now]))[0]
     assert rest.position(np.array([now]))[0] == pytest.approx(q, abs=1e-12)
     assert rest.velocity(np.array([now + 1e-9]))[0] == pytest.approx(velocity, abs=1e-6)
@@ -71,8 +71,7 @@ def test_braking_follows_the_path_and_never_passes_its_end(goal, speed, accelera
     end = rest.position(np.array([rest.end_s]))[0]
     assert (np.abs(end) <= np.abs(goal) + 1e-12).all()
     assert (np.abs(end) >= np.abs(q) - 1e-12).all()
-    again = braked(rest, now, acceleration)  # two stop commands at the same time
-    assert again is not None
+    again = sure(braked(rest, now, acceleration))  # two stop commands at the same time
     assert again.end_s == pytest.approx(rest.end_s, rel=1e-9)
     assert again.position(np.array([again.end_s]))[0] == pytest.approx(end, abs=1e-9)
 

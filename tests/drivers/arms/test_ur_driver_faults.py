@@ -37,12 +37,15 @@ from tests.drivers.arms.emulated_ur_cell import (
     assert_stays_at_rest,
     driven,
     drivers_of,
+    go,
     is_stall,
     no_fault_set,
     of_each_arm,
     repair,
+    set_out,
 )
 from tests.latency import attempts
+from tests.sure import sure
 from tests.waiting import until, within
 
 pytestmark = pytest.mark.waits
@@ -97,13 +100,6 @@ def inject(emulator: EmulatorProcess, name: str, fault: str) -> type[ArmError]:
     return error
 
 
-def go(arm: UrArm, q: np.ndarray) -> None:
-    arm.start_move(q, SPEED, ACCELERATION)
-    state = arm.wait_settled(PATIENT_S)
-    assert not state.moving
-    np.testing.assert_allclose(state.q, q, atol=1e-6)
-
-
 def go_again(emulator: EmulatorProcess, arm: UrArm) -> None:
     """After a person has repaired it, the next connect and a motion succeed."""
     repair(emulator, arm.name)
@@ -116,8 +112,7 @@ def go_again(emulator: EmulatorProcess, arm: UrArm) -> None:
 
 
 def fault_during_a_motion(emulator: EmulatorProcess, arm: UrArm, *, fault: str) -> None:
-    arm.start_move(FAR, UNHURRIED, ACCELERATION)
-    until(lambda: abs(arm.state().q[0] - HOME[0]) > 0.1, "the arm moves")
+    set_out(arm)
     error = inject(emulator, arm.name, fault)
     with pytest.raises(error, match=f"arm {arm.name}: "):
         arm.wait_settled(LONGEST_DOUBT_S)
@@ -159,8 +154,7 @@ def fault_after_a_motion(emulator: EmulatorProcess, arm: UrArm, *, fault: str) -
 
 def malformed_packet(emulator: EmulatorProcess, arm: UrArm, *, kind: str) -> None:
     packet, words = MALFORMED[kind]
-    arm.start_move(FAR, UNHURRIED, ACCELERATION)
-    until(lambda: abs(arm.state().q[0] - HOME[0]) > 0.1, "the arm moves")
+    set_out(arm)
     emulator.control(arm.name, "send", "rtde", packet)
     assert_true_cause(arm, words)
     go_again(emulator, arm)
@@ -211,8 +205,7 @@ def protective_stop_stays(emulator: EmulatorProcess, arm: UrArm) -> None:
 
 def stop_on_the_pendant(emulator: EmulatorProcess, arm: UrArm) -> None:
     """It ends the motion and the job."""
-    arm.start_move(FAR, UNHURRIED, ACCELERATION)
-    until(lambda: abs(arm.state().q[0]) > 0.1, "the arm moves")
+    set_out(arm)
     emulator.control(arm.name, "power-off")
     with pytest.raises(ArmError):
         arm.wait_settled(PATIENT_S)
@@ -221,10 +214,8 @@ def stop_on_the_pendant(emulator: EmulatorProcess, arm: UrArm) -> None:
 
 def signal_to_the_worker(emulator: EmulatorProcess, arm: UrArm, *, number: signal.Signals) -> None:
     """The client may crash or hang when its link breaks at the wrong moment: signals simulate that."""
-    arm.start_move(FAR, UNHURRIED, ACCELERATION)
-    until(lambda: abs(arm.state().q[0]) > 0.1, "the arm moves")
-    assert arm.worker_pid is not None
-    os.kill(arm.worker_pid, number)
+    set_out(arm)
+    os.kill(sure(arm.worker_pid), number)
     # the application has not looked yet: the controller stops the arm by itself
     until(lambda: not emulator.control(arm.name, "status")["moving"], "the watchdog stops the arm")
     assert np.abs(np.array(emulator.control(arm.name, "status")["q"]) - FAR).max() > 0.3
@@ -252,8 +243,7 @@ def kill_the_application(emulator: EmulatorProcess, arm: UrArm, *, with_worker: 
     root = Path(__file__).parents[3]
     command = [sys.executable, "-c", APPLICATION, name]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=root) as application:
-        assert application.stdout is not None
-        worker = int(within(application.stdout.readline, "the worker of the application"))
+        worker = int(within(sure(application.stdout).readline, "the worker of the application"))
         until(lambda: abs(emulator.control(name, "status")["q"][0] - HOME[0]) > 0.1, "the arm moves")
         application.kill()
         if with_worker:
@@ -278,8 +268,7 @@ def alive(pid: int) -> bool:
 
 
 def stop_from_another_thread(emulator: EmulatorProcess, arm: UrArm) -> None:
-    arm.start_move(FAR, UNHURRIED, ACCELERATION)
-    until(lambda: abs(arm.state().q[0]) > 0.1, "the arm moves")
+    set_out(arm)
     stopper = threading.Thread(target=arm.stop)
     stopper.start()
     with pytest.raises(MotionStopped, match=f"arm {arm.name}: "):
@@ -350,8 +339,7 @@ def slower_than_the_wait(emulator: EmulatorProcess, arm: UrArm) -> None:
 
 def dashboard_that_is_dead_when_the_link_breaks(emulator: EmulatorProcess, arm: UrArm) -> None:
     """Only the watchdog is left to stop the arm."""
-    arm.start_move(FAR, UNHURRIED, ACCELERATION)
-    until(lambda: abs(arm.state().q[0]) > 0.1, "the arm moves")
+    set_out(arm)
     emulator.control(arm.name, "fault", "dashboard", "refuse")
     inject(emulator, arm.name, "rst")
     with pytest.raises(LinkLost):
@@ -377,10 +365,9 @@ def stopped_after_kill_s(emulator: EmulatorProcess, arm: UrArm) -> float:
     """Connect, kill the worker during a motion, and return when the controller stopped its program [s]."""
     make_ready(emulator, arm)
     arm.start_move(FAR, UNHURRIED, ACCELERATION)
-    assert arm.worker_pid is not None
     until(lambda: emulator.control(arm.name, "status")["moving"], "the arm moves")
     killed_s = time.monotonic()
-    os.kill(arm.worker_pid, signal.SIGKILL)
+    os.kill(sure(arm.worker_pid), signal.SIGKILL)
     until(lambda: not emulator.control(arm.name, "status")["moving"], "the watchdog stops the arm")
     (stop,) = emulator.control(arm.name, "stops", killed_s)
     assert stop["ideal_s"] > 0.0, "it went all the way"

@@ -16,13 +16,12 @@ from drivers.arms.ur import UrArm
 from drivers.arms.ur_settings import UrSettings
 from drivers.emulators.ur_controller import EmulatorProcess
 from tests.drivers.arms.emulated_ur_cell import (
-    ACCELERATION,
     AWAY,
     FOUR_HOSTS,
     PATIENT_S,
-    SPEED,
     Episode,
     driven,
+    go,
     of_each_arm,
     pause,
     repair,
@@ -92,8 +91,7 @@ def in_a_program_start(emulator: EmulatorProcess, arm: UrArm, *, how: str, delay
             assert_nothing_runs(emulator, arm, delay_s + 0.1)
     emulator.control(arm.name, "start-delay", 0.05)
     arm.connect()
-    arm.start_move(AWAY, SPEED, ACCELERATION)
-    arm.wait_settled(PATIENT_S)
+    go(arm, AWAY)
 
 
 def while_a_port_is_silent(emulator: EmulatorProcess, arm: UrArm, *, port: str) -> None:

@@ -23,11 +23,13 @@ from tests.drivers.arms.emulated_ur_cell import (
     SPEED,
     Episode,
     Heard,
+    go,
     of_each_arm,
     pause,
     repair,
 )
 from tests.latency import attempts
+from tests.sure import sure
 from tests.waiting import until
 
 pytestmark = pytest.mark.waits
@@ -53,8 +55,7 @@ def links_that_answer_are_confirmed_quickly(emulator: EmulatorProcess, arm: UrAr
     arm.start_move(AWAY, SPEED * 0.2, ACCELERATION)
     arm.confirm()  # of an arm that moves, too
     arm.wait_settled(PATIENT_S)
-    arm.start_move(HOME, SPEED, ACCELERATION)
-    arm.wait_settled(PATIENT_S)
+    go(arm, HOME)
     emulator.control(arm.name, "drop", "dashboard", "fin")  # it is opened again at once
     arm.confirm()
     arm.stop()
@@ -72,8 +73,7 @@ UNCONFIRMED: dict[str, tuple[Any, ...] | signal.Signals] = {
 
 def strike(emulator: EmulatorProcess, arm: UrArm, fault: tuple[Any, ...] | signal.Signals) -> None:
     if isinstance(fault, signal.Signals):
-        assert arm.worker_pid is not None
-        os.kill(arm.worker_pid, fault)
+        os.kill(sure(arm.worker_pid), fault)
     else:
         emulator.control(arm.name, *fault)
 
@@ -155,8 +155,7 @@ def live_is_fresh_and_knows_a_motion(emulator: EmulatorProcess, arm: UrArm) -> N
     assert arm.live().moving
     arm.wait_settled(PATIENT_S)
     until(lambda: not arm.live().moving, "it rests")
-    arm.start_move(HOME, SPEED, ACCELERATION)
-    arm.wait_settled(PATIENT_S)
+    go(arm, HOME)
     arm.disconnect()
     live = arm.live()
     assert (live.age_s, live.moving) == (math.inf, False)

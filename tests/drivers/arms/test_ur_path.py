@@ -24,12 +24,11 @@ from drivers.arms.recording import RecordingArm
 from drivers.arms.ur import UrArm
 from drivers.emulators.ur_controller import EmulatorProcess
 from tests.drivers.arms.emulated_ur_cell import (
-    ACCELERATION,
     HOME,
     PATIENT_S,
-    SPEED,
     Episode,
     assert_stays_at_rest,
+    go,
     is_stall,
     of_each_arm,
     repair,
@@ -46,8 +45,7 @@ def make_ready(emulator: EmulatorProcess, arm: UrArm) -> None:
     emulator.control(arm.name, "slider", 1.0)
     repair(emulator, arm.name)
     arm.connect()
-    arm.start_move(HOME, SPEED, ACCELERATION)
-    arm.wait_settled(PATIENT_S)
+    go(arm, HOME)
 
 
 def smooth_path(period_s: float, duration_s: float) -> np.ndarray:
@@ -95,8 +93,7 @@ def path_is_followed_to_its_end(emulator: EmulatorProcess, arm: UrArm) -> None:
     farthest = np.abs(followed.q - HOME).max(axis=0)
     np.testing.assert_allclose(farthest, np.abs(path - HOME).max(axis=0), rtol=0.1)
     # another motion is possible at once, and the program is the same
-    arm.start_move(HOME + 0.05, SPEED, ACCELERATION)
-    arm.wait_settled(PATIENT_S)
+    go(arm, HOME + 0.05)
     assert emulator.control(arm.name, "status")["runtime_state"] == "PLAYING"
 
 
@@ -151,8 +148,7 @@ def path_is_ended_early(emulator: EmulatorProcess, arm: UrArm) -> None:
     assert 10 < len(part) < len(path)
     np.testing.assert_allclose(state.q, part[-1], atol=1e-3)
     arm.end_path()  # harmless at rest
-    arm.start_move(HOME, SPEED, ACCELERATION)
-    arm.wait_settled(PATIENT_S)
+    go(arm, HOME)
 
 
 def every_sample_is_recorded(emulator: EmulatorProcess, arm: UrArm) -> None:

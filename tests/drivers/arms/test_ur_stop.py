@@ -46,11 +46,13 @@ from tests.drivers.arms.emulated_ur_cell import (
     assert_stays_at_rest,
     at_rest,
     driven,
+    go,
     of_each_arm,
     received_stop_s,
     repair,
 )
 from tests.latency import attempts
+from tests.sure import sure
 from tests.waiting import until, within
 
 pytestmark = pytest.mark.waits
@@ -83,11 +85,6 @@ def start(emulator: EmulatorProcess, arm: UrArm, speed: np.ndarray = UNHURRIED) 
     goal = FAR if np.abs(here - FAR).max() > np.abs(here - HOME).max() else HOME
     arm.start_move(goal, speed, ACCELERATION)
     until(lambda: float(np.abs(arm.state().q - here).max()) > 0.1, "the arm moves")
-
-
-def go(arm: UrArm, q: np.ndarray) -> None:
-    arm.start_move(q, SPEED, ACCELERATION)
-    np.testing.assert_allclose(arm.wait_settled(PATIENT_S).q, q, atol=1e-6)
 
 
 # -- brake ------------------------------------------------------------------------------------------------------------
@@ -162,8 +159,7 @@ def brake_while_it_starts(emulator: EmulatorProcess, arm: UrArm, after_s: float)
             arm.brake()
 
     def move() -> None:
-        arm.start_move(goal, SPEED, ACCELERATION)
-        arm.wait_settled(PATIENT_S)
+        go(arm, goal)
 
     stopper = threading.Timer(after_s, brake)
     stopper.start()
@@ -256,8 +252,7 @@ def told_of(emulator: EmulatorProcess, arm: UrArm, fault: str, heard: Heard) -> 
     """Inject a fault during a motion and check what is heard, raised and done; return when it was heard [s]."""
     command, error, _ = PUSHED[fault]
     start(emulator, arm)
-    pid = arm.worker_pid
-    assert pid is not None
+    pid = sure(arm.worker_pid)
     began_s = time.monotonic()
     if command is None:
         os.kill(pid, signal.SIGKILL)
@@ -281,9 +276,8 @@ def worker_that_does_not_run_is_a_fault(emulator: EmulatorProcess, arm: UrArm) -
         make_ready(emulator, arm)
         heard = Heard(arm)
         start(emulator, arm)
-        assert arm.worker_pid is not None
         began_s = time.monotonic()
-        os.kill(arm.worker_pid, signal.SIGSTOP)
+        os.kill(sure(arm.worker_pid), signal.SIGSTOP)
         heard_s, told = heard.first()
         assert isinstance(told, LinkLost | HostStalled)
         asked_s = time.monotonic()
@@ -324,11 +318,10 @@ def test_a_stall_of_this_computer_is_named(emulator: EmulatorProcess, drivers: d
 
 def freeze_until_stopped(emulator: EmulatorProcess, arm: UrArm) -> float:
     """Let the arm's worker not run until the controller has ended its program; return for how long [s]."""
-    assert arm.worker_pid is not None
     frozen_s = time.monotonic()
-    os.kill(arm.worker_pid, signal.SIGSTOP)
+    os.kill(sure(arm.worker_pid), signal.SIGSTOP)
     until(lambda: emulator.control(arm.name, "status")["runtime_state"] != "PLAYING", "the watchdog expires")
-    os.kill(arm.worker_pid, signal.SIGCONT)
+    os.kill(sure(arm.worker_pid), signal.SIGCONT)
     return time.monotonic() - frozen_s
 
 
@@ -354,14 +347,13 @@ def suspended_application_does_not_leave_its_arm_moving(emulator: EmulatorProces
     root = Path(__file__).parents[3]
     command = [sys.executable, "-c", APPLICATION, name]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=root) as application:
-        assert application.stdout is not None
-        assert within(application.stdout.readline, "the motion") == "moving\n"
+        assert within(sure(application.stdout).readline, "the motion") == "moving\n"
         until(lambda: not at_rest(emulator, name), "the arm moves")
         suspended_s = time.monotonic()
         application.send_signal(signal.SIGSTOP)
         assert_braked(emulator, name, suspended_s)
         application.send_signal(signal.SIGCONT)
-        assert within(application.stdout.readline, "what it notices") == "HostStalled\n"
+        assert within(sure(application.stdout).readline, "what it notices") == "HostStalled\n"
         application.wait(PATIENT_S)
 
 
@@ -463,8 +455,7 @@ def refusal_brakes_without_a_thread(emulator: EmulatorProcess, arm: UrArm) -> No
 
 
 def refusal_does_not_wait_for_a_worker_that_reads_nothing(emulator: EmulatorProcess, arm: UrArm) -> None:
-    pid = arm.worker_pid
-    assert pid is not None
+    pid = sure(arm.worker_pid)
     os.kill(pid, signal.SIGSTOP)
     try:
         began_s = time.monotonic()

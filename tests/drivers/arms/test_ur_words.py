@@ -45,6 +45,7 @@ from drivers.patience import Patience
 from tests.drivers.arms.delayed_client import DelayedClient, Monitor
 from tests.drivers.arms.emulated_ur_cell import AWAY, HOME, PATIENT_S, expectation, pause
 from tests.loopback import own_address
+from tests.sure import sure
 from tests.waiting import until
 
 Delayed = tuple[DelayedClient, Monitor]
@@ -124,7 +125,7 @@ def by_hand(client: DelayedClient) -> None:
 WORKER: dict[str, tuple[Callable[[DelayedClient], None], type[ArmError], str]] = {
     "stopped on the pendant": (pendant, ArmError, "its program ended; possible: it was stopped on the pendant"),
     "local control": (local, NotInRemoteControl, "the pendant is in local control"),
-    "cut short": (cut_short, ArmError, "its motion was cut short"),
+    "cut short": (cut_short, ArmError, "its motion was cut short: it rests 20.05 deg from its goal"),
     "no power": (power, ArmError, "robot mode POWER_OFF, needed is RUNNING; power the arm on"),
     "guided by hand": (by_hand, ArmError, "robot mode BACKDRIVE, needed is RUNNING; it is guided by hand"),
 }
@@ -551,8 +552,7 @@ def test_a_dashboard_that_answers_is_no_loss_and_stops() -> None:
 def test_answers_reach_those_who_asked_in_order() -> None:
     """Stops of many threads among questions: none gets the answer to another line."""
     with dashboard(slow) as port, opened(port) as (line, lost):
-        sent = line._line
-        assert sent is not None
+        sent = sure(line._line)
         waiting = [(text, sent.send(text)) for text in ("running", "stop", "running", "stop", "stop")]
         for text, answer in waiting:
             assert answer.get(timeout=PATIENT_S) == ("Stopped" if text == "stop" else "Program running: false")

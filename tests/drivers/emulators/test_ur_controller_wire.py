@@ -181,7 +181,6 @@ def test_packets_of_the_wrong_length_are_swallowed_or_end_the_link(keep: str) ->
         assert sum("ignored" in line for line in control("old", "log")) == 3
 
 
-@settings(deadline=None)
 @given(st.lists(st.binary(max_size=80), max_size=10))
 def test_no_bytes_break_the_rtde_server(pieces: list[bytes]) -> None:
     sent: list[bytes] = []

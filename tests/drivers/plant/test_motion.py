@@ -17,14 +17,14 @@ from drivers.plant.servo import LOOKAHEAD_S
 from drivers.plant.sweep import Recorder, SweepRecord, record_sweep, recorder_of
 from drivers.trackers.protocol import TargetLost, TrackerLinkLost
 from drivers.trackers.simulated import SimulatedTracker
+from tests.sure import sure
 from tests.twin import PROFILES, small_twin
 
 START, END = np.array([0.0, 1.0]), np.array([2.0, 0.0])
 
 
 def motion() -> PlantMotion:
-    made = travel(10.0, START, END, np.full(2, 1.0), np.full(2, 2.0))
-    assert made is not None
+    made = sure(travel(10.0, START, END, np.full(2, 1.0), np.full(2, 2.0)))
     return made
 
 

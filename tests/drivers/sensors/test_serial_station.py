@@ -9,6 +9,7 @@ import socket
 import tty
 from collections.abc import Callable, Iterator
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -18,6 +19,8 @@ from hypothesis import strategies as st
 from drivers.sensors import serial_station
 from drivers.sensors.protocol import SensorLinkLost, StaleReading
 from drivers.sensors.serial_station import LONGEST_LINE, PRESETS, LineFormat, SerialStation, parse_line
+from tests.approved import assert_refused
+from tests.sure import sure
 from tests.waiting import until
 
 PTU = PRESETS["vaisala-ptu300"]
@@ -84,41 +87,11 @@ def listen() -> Iterator[Callable[..., SerialStation]]:
 # -- lines ------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        ("P= 1013.2 hPa T= 31.1 'C RH= 38.3 %RH", (31.1, 1013.2, 38.3)),
-        ("P1= 1008.9 hPa P2= 1009.1 hPa P= 1009.0 hPa T= 23.9 'C RH= 34.5 %RH", (23.9, 1009.0, 34.5)),
-        (">RH= 14.98%RH\tT= 74.68'F", (23.711, None, 14.98)),
-        ("T= -  3.5 'C", (-3.5, None, None)),
-        ("P= 29.921 inHg T= 20.0 'C", (20.0, 1013.24, None)),
-        ("P= 101.32 kPa T= 293.15 K RH= 50.0 %RH", (20.0, 1013.2, 50.0)),
-        ("Tdf= 3.0 'C P= **** hPa T= 20.0 'C", (20.0, None, None)),
-    ],
-)
-def test_lines_of_a_ptu300(text: str, expected: tuple[float | None, ...]) -> None:
-    values = parse_line(text, PTU)
-    found = tuple(values.get(name) for name in ("temperature", "pressure", "humidity"))
-    assert found == tuple(None if value is None else pytest.approx(value, abs=5e-3) for value in expected)
+def test_lines_of_a_ptu300_are_read_or_refused_as_approved() -> None:
+    def read(text: str) -> str:
+        return ", ".join(f"{name} {value:.6g}" for name, value in parse_line(text, PTU).items()) or "nothing"
 
-
-@pytest.mark.parametrize("text", ["", ">", "send", "Tfrost= 36.0'C", "T= ***** 'C", "OK", "PTU300 / 1.05", "T= 21.4"])
-def test_lines_without_a_reading(text: str) -> None:
-    assert parse_line(text, PTU) == {}
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("P= 1.0132 bars T= 20.0 'C", "pressure has the unit 'bars'; known are hpa, mbar"),
-        ("P= 1.0132 hPa T= 20.0 'C", r"pressure is 1.0132 hPa, which is not between 500 and 1100: is it in another"),
-        ("P= 1013.2 hPa T= 68.2 'C", r"temperature is 68.2 degC, which is not between -10 and 50"),
-        ("T= 20.0 'C RH= 138.0 %RH", "humidity is 138 %"),
-    ],
-)
-def test_wrong_units_are_refused(text: str, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        parse_line(text, PTU)
+    assert_refused(Path(__file__).parent / "approved" / "lines.txt", read)
 
 
 def test_a_custom_format() -> None:
@@ -278,10 +251,9 @@ def test_before_and_after(line: Line) -> None:
     with pytest.raises(SensorLinkLost, match="not connected"):
         station.read()
     station.connect()
-    thread = station._thread
+    thread = sure(station._thread)
     station.disconnect()
     station.disconnect()
-    assert thread is not None
     assert not thread.is_alive()
     with pytest.raises(SensorLinkLost, match="not connected"):
         station.read()

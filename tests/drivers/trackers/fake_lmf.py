@@ -89,10 +89,9 @@ ENUMERATIONS: dict[str, Any] = {
     )
 }
 E = ENUMERATIONS
-_METRES = (1.0, 1e-3, 1e-6, 0.3048, 0.9144, 0.0254)
-_METRE_NAMES = ("m", "mm", "µm", "ft", "yd", "in")
-_RADIANS = (1.0, 1e-3, math.pi / 180.0, math.pi / 200.0, math.pi / 2e6)
-_RADIAN_NAMES = ("rad", "mrad", "°", "gon", "cc")
+_CARTESIAN_SI = ("Cartesian", "Meter", "Radian", "Celsius", "HPascal")
+"""The only coordinates and units in which this stand-in points and measures."""
+_TICKS_OF_1970 = 621_355_968_000_000_000
 
 
 # -- the scene, and LMF's thread for events ----------------------------------------------------------------------------
@@ -211,49 +210,42 @@ def deliver(events: queue.SimpleQueue[Any]) -> None:
 class Net:
     """An object of a .NET class: attributes that it does not have cannot be set."""
 
+    def __init__(self, **attributes: Any) -> None:
+        self.__dict__.update(attributes)
+
     def __setattr__(self, name: str, value: object) -> None:
-        if not name.startswith("_") and "_sealed" in self.__dict__ and not hasattr(self, name):
+        if not hasattr(self, name):
             raise AttributeError(f"'{type(self).__name__}' object has no attribute '{name}'")
         super().__setattr__(name, value)
 
-    def seal(self) -> None:
-        self._sealed = True
+    def __getattr__(self, name: str) -> Any:
+        raise AttributeError(f"'{type(self).__name__}' object has no attribute '{name}'")
+
+
+class Choices(Net):
+    """Properties that are enumerations, and take members of the same one only."""
+
+    def __setattr__(self, name: str, value: object) -> None:
+        if type(value) is not type(getattr(self, name)):
+            raise TypeError(f"{name}: '{type(value).__name__}' cannot be converted")
+        super().__setattr__(name, value)
 
 
 class ReadOnlyValue(Net):
-    """A value object that only LMF changes; ``read`` returns the value in the current unit."""
+    """A value object that only LMF changes; ``read`` returns the value. A coordinate at rest has a precision, too."""
 
-    def __init__(self, read: Callable[[], Any], unit: Callable[[], str] = lambda: "") -> None:
-        self._read, self._unit = read, unit
-        self.seal()
+    def __init__(self, read: Callable[[], Any], unit: str = "", **precision: float) -> None:
+        super().__init__(_read=read, UnitString=unit, **precision)
 
     @property
     def Value(self) -> Any:
         return self._read()
 
-    @property
-    def UnitString(self) -> str:
-        return self._unit()
-
-    @property
-    def Precision(self) -> Any:
-        raise AttributeError("Precision")
-
-
-class StatisticValue(ReadOnlyValue):
-    """A coordinate of a stationary point."""
-
-    def __init__(self, read: Callable[[], float], unit: Callable[[], str], precision: Callable[[], float]) -> None:
-        super().__init__(read, unit)
-        self._precision = precision
-
-    @property
-    def Precision(self) -> float:
-        return self._precision()
-
 
 class Value(Net):
     """A writable value object of one type, optionally with a range."""
+
+    _value: Any
 
     def __init__(
         self,
@@ -262,13 +254,13 @@ class Value(Net):
         scene: Scene | None = None,
         name: str = "",
         span: tuple[float, float] | None = None,
-        unit: Callable[[], str] = lambda: "",
+        unit: str = "",
         changed: Callable[[], None] = lambda: None,
         number: bool = False,
     ) -> None:
-        self._value, self._scene, self._name, self._span, self._unit = value, scene, name, span, unit
-        self._changed, self._number = changed, number
-        self.seal()
+        super().__init__(
+            _value=value, _scene=scene, _name=name, _span=span, _changed=changed, _number=number, UnitString=unit
+        )
 
     @property
     def Value(self) -> Any:
@@ -286,56 +278,15 @@ class Value(Net):
         self._value = type(self._value)(value) if self._number else value
         self._changed()
 
-    @property
-    def UnitString(self) -> str:
-        return self._unit()
-
 
 # -- the object tree --------------------------------------------------------------------------------------------------
 
 
-def _plain_enumeration(name: str) -> property:
-    def read(self: Any) -> Any:
-        return getattr(self, f"_{name}")
-
-    def write(self: Any, value: Any) -> None:
-        if type(value) is not type(read(self)):
-            raise TypeError(f"{name}: '{type(value).__name__}' cannot be converted")
-        setattr(self, f"_{name}", value)
-
-    return property(read, write)
-
-
-class Units(Net):
-    LengthUnit = _plain_enumeration("LengthUnit")
-    AngleUnit = _plain_enumeration("AngleUnit")
-    TemperatureUnit = _plain_enumeration("TemperatureUnit")
-    PressureUnit = _plain_enumeration("PressureUnit")
-
-    def __init__(self) -> None:
-        self._LengthUnit, self._AngleUnit = E["ELengthUnit"].Millimeter, E["EAngleUnit"].Degree
-        self._TemperatureUnit, self._PressureUnit = E["ETemperatureUnit"].Fahrenheit, E["EPressureUnit"].InHg
-        self.seal()
-
-
-class Settings(Net):
-    CoordinateType = _plain_enumeration("CoordinateType")
-    RotationType = _plain_enumeration("RotationType")
-
-    def __init__(self) -> None:
-        self._CoordinateType = E["ECoordinateType"].Spherical
-        self._RotationType = E["ERotationType"].RotationAngles
-        self._units = Units()
-        self.seal()
-
-    @property
-    def Units(self) -> Units:
-        return self._units
-
-
 class Profile(Net):
-    def __init__(self, tracker: Tracker, name: str) -> None:
-        self._tracker, self.Name = tracker, name
+    """A profile of measurements, with its settings."""
+
+    def __init__(self, tracker: Tracker, name: str, **settings: Value) -> None:
+        super().__init__(_tracker=tracker, Name=name, **settings)
 
     def Select(self) -> None:
         self._tracker.scene.command("Select profile")
@@ -346,34 +297,28 @@ class Profile(Net):
 
 class StationaryMeasurementProfile(Profile):
     def __init__(self, tracker: Tracker) -> None:
-        super().__init__(tracker, "Stationary")
-        self.Accuracy = Value(E["EAccuracy"].Fast, number=tracker.scene.number_accuracy)
-        self.TwoFace = Value(True, scene=tracker.scene, name="TwoFace")
-        self.seal()
+        accuracy = Value(E["EAccuracy"].Fast, number=tracker.scene.number_accuracy)
+        super().__init__(
+            tracker, "Stationary", Accuracy=accuracy, TwoFace=Value(True, scene=tracker.scene, name="TwoFace")
+        )
 
 
 class CustomStationaryMeasurementProfile(Profile):
     def __init__(self, tracker: Tracker) -> None:
-        super().__init__(tracker, "Custom")
-        self.Time = Value(500.0, span=(100.0, 100_000.0), unit=lambda: "ms", changed=tracker.warn_of_property)
-        self.seal()
+        time = Value(500.0, span=(100.0, 100_000.0), unit="ms", changed=tracker.warn_of_property)
+        super().__init__(tracker, "Custom", Time=time)
 
 
 class ContinuousTimeProfile(Profile):
     def __init__(self, tracker: Tracker) -> None:
-        super().__init__(tracker, "Continuous Time")
-        self.TimeSeparation = Value(500.0, span=(1.0, 9e5), unit=lambda: "ms", changed=tracker.warn_of_property)
-        self.PacketRate = Value(5, span=(1, 50), scene=tracker.scene, name="PacketRate")
-        self.seal()
+        separation = Value(500.0, span=(1.0, 9e5), unit="ms", changed=tracker.warn_of_property)
+        rate = Value(5, span=(1, 50), scene=tracker.scene, name="PacketRate")
+        super().__init__(tracker, "Continuous Time", TimeSeparation=separation, PacketRate=rate)
 
 
 class Collection(Net):
     def __init__(self, items: list[Any]) -> None:
-        self._items = items
-        self.Selected: Any = None
-        self.PreSelected: Any = None
-        self.SelectedChanged: Any = None
-        self.seal()
+        super().__init__(_items=items, Selected=None, PreSelected=None, SelectedChanged=None)
 
     @property
     def Count(self) -> int:
@@ -388,9 +333,8 @@ class Collection(Net):
 
 class Target(Net):
     def __init__(self, tracker: Tracker, name: str, product: str, selectable: bool = True) -> None:
-        self._tracker, self.Name, self.ProductName = tracker, name, product
-        self.IsSelectable = selectable if tracker.scene.bool_selectable else ReadOnlyValue(lambda: selectable)
-        self.seal()
+        told = selectable if tracker.scene.bool_selectable else ReadOnlyValue(lambda: selectable)
+        super().__init__(_tracker=tracker, Name=name, ProductName=product, IsSelectable=told)
 
     def Select(self) -> None:
         self._tracker.scene.command("Select target")
@@ -410,32 +354,30 @@ class TMac(Target):
     pass
 
 
-class Precondition(Net):
-    def __init__(self, number: int, title: str, solution: str) -> None:
-        self.Number, self.Title, self.Description, self.Solution = number, title, "", solution
+def precondition(number: int, title: str, solution: str) -> Net:
+    return Net(Number=number, Title=title, Description="", Solution=solution)
 
 
 class Measurement(Net):
     """``Tracker.Measurement``."""
 
-    def __init__(self, tracker: Tracker) -> None:
-        self._tracker = tracker
-        self.MeasurementInProgress = Value(tracker.scene.persistent.get("busy", False))
-        self.Profiles = Collection([])
-        self.MeasurementArrived = Event("MeasurementArrived", tracker.scene, tracker.events)
-        self.seal()
+    def __init__(self, tracker: Tracker, profiles: Collection) -> None:
+        super().__init__(
+            _tracker=tracker,
+            MeasurementInProgress=Value(tracker.scene.persistent.get("busy", False)),
+            Profiles=profiles,
+            MeasurementArrived=Event("MeasurementArrived", tracker.scene, tracker.events),
+        )
 
     @property
     def Status(self) -> Any:
         missing = []
         if not self._tracker.scene.initialised:
-            missing.append(Precondition(300, "Tracker not initialized", "Initialize it."))
+            missing.append(precondition(300, "Tracker not initialized", "Initialize it."))
         if self._tracker.Targets.Selected is None:
-            missing.append(Precondition(301, "No target locked", "Point at a reflector."))
-        status = Net()
-        status.Preconditions = missing
-        status.Value = E["EMeasurementStatus"].NotReady if missing else E["EMeasurementStatus"].ReadyToMeasure
-        return status
+            missing.append(precondition(301, "No target locked", "Point at a reflector."))
+        status = E["EMeasurementStatus"]
+        return Net(Preconditions=missing, Value=status.NotReady if missing else status.ReadyToMeasure)
 
     def StopMeasurement(self) -> None:
         self._tracker.scene.command("StopMeasurement")
@@ -453,8 +395,7 @@ class Measurement(Net):
         assert isinstance(profile, ContinuousTimeProfile)
         points = [SingleShotMeasurement3D(self._tracker) for _ in range(count)]
         for number, point in enumerate(points, start=first):
-            ticks = round(number * profile.TimeSeparation.Value * 10_000)
-            point.TimeStamp.Ticks = 621_355_968_000_000_000 + 10_000_000 + ticks
+            point.TimeStamp.Ticks = _TICKS_OF_1970 + 10_000_000 + round(number * profile.TimeSeparation.Value * 10_000)
         scene.measured += 1
         self.MeasurementArrived.fire(self, Collection(points), error)
 
@@ -474,72 +415,54 @@ class Measurement(Net):
 
 
 class StationaryMeasurement3D(Net):
-    def __init__(self, tracker: Tracker) -> None:
-        scene = tracker.scene
-        units = tracker.Settings.Units
-        p_M = scene.targets[tracker.locked].copy()
-        cartesian = tracker.Settings.CoordinateType == E["ECoordinateType"].Cartesian
-        scale, name = _METRES[int(units.LengthUnit)], _METRE_NAMES[int(units.LengthUnit)]
-        distance = float(np.linalg.norm(p_M))
-        numbers = p_M / scale
-        if not cartesian:
-            angles = np.array([math.atan2(p_M[0], p_M[1]), math.acos(p_M[2] / distance)])
-            numbers = np.array([*(angles / _RADIANS[int(units.AngleUnit)]), distance / scale])
-        position = Net()
-        sigma = scene.precision_m / math.sqrt(3.0) / scale
-        for axis, number in enumerate(numbers, start=1):
-            value = StatisticValue(partial(float, number), lambda: name, lambda: sigma)
-            setattr(position, f"Coordinate{axis}", value)
-        position.CoordinateType = tracker.Settings.CoordinateType
-        position.IsFace2 = tracker.face2
-        self.Position = position
-        celsius = units.TemperatureUnit == E["ETemperatureUnit"].Celsius
-        hpa = units.PressureUnit == E["EPressureUnit"].HPascal
-        meteo = tracker.MeteoStation
-        live = meteo.Source.Value == E["EMeteoSource"].LiveMeteo
-        t, p, h = (
-            (scene.temperature_c, 1009.0, 41.0)
-            if live
-            else (meteo.ManualTemperature.Value, meteo.ManualPressure.Value, meteo.ManualHumidity.Value)
+    def __init__(self, tracker: Tracker, **more: Net) -> None:
+        tracker.check_units()
+        scene, meteo = tracker.scene, tracker.MeteoStation
+        air = (scene.temperature_c, 1009.0, 41.0)
+        if meteo.Source.Value != E["EMeteoSource"].LiveMeteo:
+            air = tuple(one.Value for one in (meteo.ManualTemperature, meteo.ManualPressure, meteo.ManualHumidity))
+        super().__init__(
+            Position=Net(
+                **{
+                    f"Coordinate{axis}": value for axis, value in enumerate(self._coordinates(scene, tracker.locked), 1)
+                },
+                CoordinateType=tracker.Settings.CoordinateType,
+                IsFace2=tracker.face2,
+            ),
+            Info=Net(FlagsWithWarnings=getattr(E["EFlags"], scene.flags)),
+            TimeStamp=Net(Ticks=_TICKS_OF_1970 + scene.measured * 10_000_000),
+            **{
+                name: ReadOnlyValue(partial(float, value))
+                for name, value in zip(("Temperature", "Pressure", "Humidity"), air, strict=True)
+            },
+            **more,
         )
-        self.Temperature = ReadOnlyValue(lambda: t if celsius else t * 1.8 + 32.0)
-        self.Pressure = ReadOnlyValue(lambda: p if hpa else p / 33.8638866667)
-        self.Humidity = ReadOnlyValue(lambda: h)
-        self.Info = Net()
-        self.Info.FlagsWithWarnings = getattr(E["EFlags"], scene.flags)
-        self.TimeStamp = Net()
-        self.TimeStamp.Ticks = 621_355_968_000_000_000 + scene.measured * 10_000_000
+
+    def _coordinates(self, scene: Scene, locked: str) -> list[ReadOnlyValue]:
+        sigma_m = scene.precision_m / math.sqrt(3.0)
+        return [ReadOnlyValue(partial(float, number), "m", Precision=sigma_m) for number in scene.targets[locked]]
 
 
 class StationaryMeasurement6D(StationaryMeasurement3D):
     """A point with the rotation of the probe that is locked, as numbers of the form that is set."""
 
     def __init__(self, tracker: Tracker) -> None:
-        super().__init__(tracker)
         kind, numbers = tracker.Settings.RotationType, tracker.scene.probes[tracker.locked]
         if kind != E["ERotationType"].Quaternion:
-            radian = _RADIANS[int(tracker.Settings.Units.AngleUnit)]
-            numbers = Rotation.from_quat(np.roll(numbers, -1)).as_euler("XYZ") / radian
-        self.Rotation = Net()
-        self.Rotation.RotationType = kind
-        for place, number in enumerate(numbers):
-            setattr(self.Rotation, f"{tracker.scene.rotation_member}{place}", ReadOnlyValue(partial(float, number)))
+            numbers = Rotation.from_quat(np.roll(numbers, -1)).as_euler("XYZ")
+        member = tracker.scene.rotation_member
+        values = {f"{member}{place}": ReadOnlyValue(partial(float, number)) for place, number in enumerate(numbers)}
+        super().__init__(tracker, Rotation=Net(RotationType=kind, **values))
 
 
 class SingleShotMeasurement3D(StationaryMeasurement3D):
     """A point of a continuous measurement: its coordinates have no precision."""
 
-    def __init__(self, tracker: Tracker) -> None:
-        super().__init__(tracker)
-        for axis in (1, 2, 3):
-            with_precision = getattr(self.Position, f"Coordinate{axis}")
-            setattr(self.Position, f"Coordinate{axis}", ReadOnlyValue(with_precision._read, with_precision._unit))
+    def _coordinates(self, scene: Scene, locked: str) -> list[ReadOnlyValue]:
+        return [ReadOnlyValue(partial(float, number), "m") for number in scene.targets[locked]]
 
 
 class Face(Net):
-    def __init__(self, tracker: Tracker) -> None:
-        self._tracker = tracker
-
     @property
     def IsFace1(self) -> ReadOnlyValue:
         return ReadOnlyValue(lambda: not self._tracker.face2)
@@ -550,95 +473,96 @@ class Face(Net):
 
 
 class Monitoring(Net):
-    def __init__(self, tracker: Tracker) -> None:
-        self._tracker = tracker
-        self.Active = Value(False)
-        self.seal()
-
     def Reset(self) -> None:
         self._tracker.scene.command("Monitoring.Reset")
 
 
 class InclinationSensor(Net):
     def __init__(self, tracker: Tracker) -> None:
-        self._tracker = tracker
         persistent = tracker.scene.persistent
 
         def keep() -> None:
             persistent["gravity"] = self.InclinedToGravity.Value
 
-        self.InclinedToGravity = Value(persistent.get("gravity", False), changed=keep)
-        self.Monitoring = Monitoring(tracker)
-        self.seal()
+        super().__init__(
+            _tracker=tracker,
+            InclinedToGravity=Value(persistent.get("gravity", False), changed=keep),
+            Monitoring=Monitoring(_tracker=tracker, Active=Value(False)),
+        )
 
     def GetInclinationToGravity(self) -> None:
         self._tracker.scene.command("GetInclinationToGravity")
 
 
-class MeteoStation(Net):
-    def __init__(self, tracker: Tracker) -> None:
-        scene = tracker.scene
-        self.Source = Value(scene.persistent.get("meteo", E["EMeteoSource"].ManualMeteo))
-        self.ManualTemperature = Value(20.0, scene=scene, name="ManualTemperature", span=(-20.0, 60.0))
-        self.ManualPressure = Value(1013.25, scene=scene, name="ManualPressure", span=(500.0, 1200.0))
-        self.ManualHumidity = Value(50.0, scene=scene, name="ManualHumidity", span=(0.0, 100.0))
-        self.IsAirSensorConnected = ReadOnlyValue(lambda: scene.air_sensor)
-        self.seal()
+def meteo_station(scene: Scene) -> Net:
+    manual = {
+        name: Value(value, scene=scene, name=name, span=span)
+        for name, value, span in (
+            ("ManualTemperature", 20.0, (-20.0, 60.0)),
+            ("ManualPressure", 1013.25, (500.0, 1200.0)),
+            ("ManualHumidity", 50.0, (0.0, 100.0)),
+        )
+    }
+    source = Value(scene.persistent.get("meteo", E["EMeteoSource"].ManualMeteo))
+    return Net(Source=source, IsAirSensorConnected=ReadOnlyValue(lambda: scene.air_sensor), **manual)
 
 
 class Tracker(Net):
     """Like ``LMF.Tracker.AT960Tracker`` right after a connect: nearly all settings are LMF's defaults."""
 
     def __init__(self, scene: Scene, address: str) -> None:
-        self.scene, self.address = scene, address
-        self.locked, self.face2 = "", False
-        self.events: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        threading.Thread(target=deliver, args=(self.events,), name="LMF events", daemon=True).start()
-        self.Name, self.ProductName, self.SerialNumber = "cell tracker", "AT960-LR", scene.serial
-        self.InstalledFirmware, self.ExpectedFirmware = "2.3.0.1", "2.3"
-        self.IsCompatibleWithInstalledFirmware = ReadOnlyValue(lambda: scene.compatible)
-        self.Disconnected = Event("Disconnected", scene, self.events)
-        self.ErrorArrived = Event("ErrorArrived", scene, self.events)
-        self.WarningArrived = Event("WarningArrived", scene, self.events)
-        self.Settings = Settings()
-        self.Targets = Collection(
-            [
-                RedRingReflector15(self, "RRR 1.5in", "Red Ring Reflector 1.5in"),
-                BreakResistantReflector15(self, "BRR 1.5in", "Break Resistant Reflector 1.5in"),
-                TMac(self, "T-Mac", "T-Mac", selectable=False),
-            ]
+        events: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        threading.Thread(target=deliver, args=(events,), name="LMF events", daemon=True).start()
+        super().__init__(scene=scene, address=address, events=events, locked="", face2=False, Measurement=None)
+        self.__dict__.update(
+            Name="cell tracker",
+            ProductName="AT960-LR",
+            SerialNumber=scene.serial,
+            InstalledFirmware="2.3.0.1",
+            ExpectedFirmware="2.3",
+            IsCompatibleWithInstalledFirmware=ReadOnlyValue(lambda: scene.compatible),
+            **{name: Event(name, scene, events) for name in ("Disconnected", "ErrorArrived", "WarningArrived")},
+            Settings=Choices(
+                CoordinateType=E["ECoordinateType"].Spherical,
+                RotationType=E["ERotationType"].RotationAngles,
+                Units=Choices(
+                    LengthUnit=E["ELengthUnit"].Millimeter,
+                    AngleUnit=E["EAngleUnit"].Degree,
+                    TemperatureUnit=E["ETemperatureUnit"].Fahrenheit,
+                    PressureUnit=E["EPressureUnit"].InHg,
+                ),
+            ),
+            PowerLock=Net(UsePowerLock=Value(False, changed=self.warn_of_property)),
+            TargetSearch=Net(Radius=Value(5.0, unit="m")),
+            Laser=Net(
+                IsOn=ReadOnlyValue(lambda: scene.laser_on), IsLaserWarmedUp=ReadOnlyValue(lambda: scene.warmed_up)
+            ),
+            QuickRelease=ReadOnlyValue(lambda: scene.read("QuickRelease", scene.quick_release)),
+            Compensations=Net(Selected=Net()),
+            MeteoStation=meteo_station(scene),
+            Face=Face(_tracker=self),
+            Targets=Collection(
+                [
+                    RedRingReflector15(self, "RRR 1.5in", "Red Ring Reflector 1.5in"),
+                    BreakResistantReflector15(self, "BRR 1.5in", "Break Resistant Reflector 1.5in"),
+                    TMac(self, "T-Mac", "T-Mac", selectable=False),
+                ]
+            ),
+            InclinationSensor=InclinationSensor(self) if scene.level else None,
         )
         self.Targets.PreSelected = self.Targets[1]
-        self.Targets.SelectedChanged = Event("SelectedChanged", scene, self.events)
-        self.Measurement = Measurement(self)
-        self.Measurement.Profiles = Collection(
-            [
-                *([ContinuousTimeProfile(self)] if scene.continuous else []),
-                StationaryMeasurementProfile(self),
-                CustomStationaryMeasurementProfile(self),
-            ]
-        )
-        self.Measurement.Profiles.Selected = self.Measurement.Profiles[0]
-        self.PowerLock = Net()
-        self.PowerLock.UsePowerLock = Value(False, changed=self.warn_of_property)
-        self.TargetSearch = Net()
-        self.TargetSearch.Radius = Value(5.0, unit=lambda: _METRE_NAMES[int(self.Settings.Units.LengthUnit)])
-        self.Face = Face(self)
-        self.Laser = Net()
-        self.Laser.IsOn = ReadOnlyValue(lambda: scene.laser_on)
-        self.Laser.IsLaserWarmedUp = ReadOnlyValue(lambda: scene.warmed_up)
-        self.QuickRelease = ReadOnlyValue(lambda: scene.read("QuickRelease", scene.quick_release))
-        self.Compensations = Net()
-        self.Compensations.Selected = Net()
-        self.InclinationSensor = InclinationSensor(self) if scene.level else None
-        self.MeteoStation = MeteoStation(self)
-        self.seal()
+        self.Targets.SelectedChanged = Event("SelectedChanged", scene, events)
+        kinds = (ContinuousTimeProfile, StationaryMeasurementProfile, CustomStationaryMeasurementProfile)
+        profiles = Collection([kind(self) for kind in kinds[0 if scene.continuous else 1 :]])
+        profiles.Selected = profiles[0]
+        self.Measurement = Measurement(self, profiles)
 
-    def angle(self, radians: float) -> ReadOnlyValue:
-        def unit() -> int:
-            return int(self.Settings.Units.AngleUnit)
-
-        return ReadOnlyValue(lambda: radians / _RADIANS[unit()], lambda: _RADIAN_NAMES[unit()])
+    def check_units(self) -> None:
+        """Raise LMF's error if anything but Cartesian coordinates in SI units is set."""
+        units = self.Settings.Units
+        found = (units.LengthUnit, units.AngleUnit, units.TemperatureUnit, units.PressureUnit)
+        if tuple(map(str, (self.Settings.CoordinateType, *found))) != _CARTESIAN_SI:
+            raise LmfException(6, "This stand-in points and measures in Cartesian coordinates and SI units only")
 
     def warn_of_property(self) -> None:
         """Send an event because a property was set; the setter waits until it is delivered."""
@@ -660,11 +584,10 @@ class Tracker(Net):
         self.scene.command("PositionTo")
         if relative:
             raise LmfException(5, "Relative moves need spherical coordinates")
-        if self.Settings.CoordinateType != E["ECoordinateType"].Cartesian:
-            raise LmfException(6, "This stand-in only points in Cartesian coordinates")
+        self.check_units()
         self.lose_target()
         self.WarningArrived.fire(self, LmfException(8, "Head moved"))
-        wanted = np.array([p1, p2, p3]) * _METRES[int(self.Settings.Units.LengthUnit)]
+        wanted = np.array([p1, p2, p3])
         if not search:
             return None
         seen = {name: p for name, p in self.scene.targets.items() if name not in self.scene.hidden}
@@ -717,12 +640,9 @@ class TrackerFinder:
 
     def Refresh(self) -> None:
         self._scene.command("Refresh")
-        found = []
-        for address, model, serial in self._scene.network:
-            info = Net()
-            info.IPAddress, info.Type, info.SerialNumber = address, model, serial
-            found.append(info)
-        self._found = Collection(found)
+        self._found = Collection(
+            [Net(IPAddress=address, Type=model, SerialNumber=serial) for address, model, serial in self._scene.network]
+        )
 
     @property
     def Trackers(self) -> Collection:

@@ -41,7 +41,8 @@ from cellapp.robot.model.nominal import nominal_arm
 from drivers.plant import TrueErrors
 from tests.arms import HALF_TURN, OFF_AXIS, ON_AXIS, SEVEN, UR5, UR10, at_station, dh, plant_of, true_geometry
 from tests.series import series
-from tests.twin import PROFILES, with_arm
+from tests.sure import sure
+from tests.twin import PROFILES, altered, with_arm
 
 SIGMA = 15e-6
 # an elbow arm with offsets whose axes 2 and 3 are anti-parallel, as tables of some makers have it
@@ -222,7 +223,7 @@ def sixty_readings():
 
 def test_fixed_parameters_keep_their_values_and_others_take_their_part():
     profile, readings = load_profile(PROFILES / "twin-small.yaml"), sixty_readings()
-    plain = profile.model_copy(update={"network": profile.network.model_copy(update={"kind": "none"})})
+    plain = altered(profile, network={"kind": "none"})
     free, *_ = calibrate_arm(plain, "left", readings)
     held, *_ = calibrate_arm(with_arm(plain, "left", fixed=("tx", "ty", "tz", "a2")), "left", readings)
     result = arm_result(held)
@@ -266,7 +267,7 @@ def test_a_parameter_that_would_leave_its_bounds_is_held_there_and_says_so():
 
 def test_a_profile_that_allows_too_few_steps_ends_with_an_error_that_names_the_arm():
     profile, readings = load_profile(PROFILES / "twin-small.yaml"), sixty_readings()
-    few = profile.model_copy(update={"calibration": profile.calibration.model_copy(update={"max_iterations": 1})})
+    few = altered(profile, calibration={"max_iterations": 1})
     with pytest.raises(NotConverged, match="arm 'left': the identification did not converge: 1 steps were not enough"):
         calibrate_arm(few, "left", readings)
 
@@ -429,8 +430,7 @@ def test_the_right_arm_explains_and_a_wrong_unit_does_not(seed: int) -> None:
 def test_the_convention_of_the_controller_is_named(wrong: Callable[[Array], Array], words: str) -> None:
     q, p_M = readings(7)
     assert not explained(NOMINAL, wrong(q), p_M).holds
-    found = better_reading(NOMINAL, wrong(q), p_M)
-    assert found is not None
+    found = sure(better_reading(NOMINAL, wrong(q), p_M))
     assert found[0] == words
     assert found[1].holds
 

@@ -15,6 +15,7 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Network
 from cellapp.ground.progress import Cancelled, JobSteps, JobToken
 from cellapp.robot.model.model import network_from_json, network_to_json, rotate_about_z
+from tests.sure import sure
 
 QUICK = Network(iterations=80)
 SMALL = (NetForm("sincos", 6), NetForm("sincos", 6, rotates_with_joint_1=True))
@@ -61,8 +62,7 @@ def test_the_same_seed_gives_the_same_network(trained):
     q, training = trained
     noise = np.random.default_rng(1).normal(0.0, 15e-6, (200, 3))
     again = train_network(QUICK, q, bend(q) + noise, 3, shapes=SMALL)
-    assert again.network is not None
-    assert json.dumps(network_to_json(again.network)) == json.dumps(network_to_json(training.network))
+    assert json.dumps(network_to_json(sure(again.network))) == json.dumps(network_to_json(training.network))
 
 
 def test_beyond_the_trained_ranges_the_correction_fades_to_zero(trained):
@@ -170,8 +170,7 @@ def test_blocks_are_cut_by_time_and_not_by_the_order_of_rows(monkeypatch):
     q = rng.normal(0.0, 1.0, (24, 4))[block] + rng.normal(0.0, 1e-3, (2400, 4))
     slow = rng.normal(0.0, 1e-4, (24, 3))[block]
     training = learn(BATCHES, q, slow, time_s, seed=3)
-    assert training.result.batches is not None
-    assert training.result.batches.left_out_rms_mm > 0.7e3 * rms(slow)
+    assert sure(training.result.batches).left_out_rms_mm > 0.7e3 * rms(slow)
 
 
 def test_without_torch_the_extra_is_named(monkeypatch):

@@ -16,6 +16,8 @@ from cellapp.robot.model.nominal import nominal_arm
 from tests.arms import OFF_AXIS, UR10, at_station
 from tests.evidence.shared.estimates import merged_values
 from tests.series import Array, Series, series, twin
+from tests.sure import sure
+from tests.twin import altered
 
 STOPS = 150
 
@@ -36,15 +38,13 @@ def fitted(name: str, one: Series, *, stated: bool = True) -> tuple[OnlineFit, S
     for stop in range(len(one.q)):
         report = add(fit, one, stop) if stated else fit.add([stop], one.q[[stop]], one.p_M[[stop]])
     fit.refit()
-    report = fit.report(stop, one.q[stop], one.p_M[stop])
-    assert report is not None
+    report = sure(fit.report(stop, one.q[stop], one.p_M[stop]))
     return fit, report
 
 
 def error_m(fit: OnlineFit, q: Array, true_M: Array) -> float:
     """Rms distance of the fit's SMR positions from the true ones [m]."""
-    assert fit.geometry is not None
-    return float(np.sqrt(np.mean(np.sum((smr_positions(fit.geometry, q) - true_M) ** 2, axis=1))))
+    return float(np.sqrt(np.mean(np.sum((smr_positions(sure(fit.geometry), q) - true_M) ** 2, axis=1))))
 
 
 @pytest.mark.parametrize(("name", "stated"), [("left", True), ("right", False)])
@@ -53,8 +53,7 @@ def test_after_all_stops_it_agrees_with_the_identification_of_the_same_readings(
     nominal = start_from_nominal(nominal_arm(twin().arms[name]), one.q, one.p_M, tool_unknown=False)
     batch, _ = identify_with_excess(nominal, one.q, one.p_M, sigma=one.covariance_M if stated else None)
     fit, report = fitted(name, one, stated=stated)
-    geometry = fit.geometry
-    assert geometry is not None
+    geometry = sure(fit.geometry)
     off = (merged_values(batch.parameter_set, geometry, nominal) - batch.values) / batch.standard_errors
     assert np.abs(off).max() < 0.05
     _, J = jacobian(batch.geometry, JointAngles.of(one.q), batch.parameter_set.columns)
@@ -95,11 +94,9 @@ def test_residuals_of_all_readings_are_those_of_the_geometry_and_name_gross_erro
     p_M = one.p_M.copy()
     p_M[7] += 0.05
     fit.add(range(STOPS), one.q, p_M, one.covariance_M)
-    found = fit.residuals()
-    assert found is not None
+    found = sure(fit.residuals())
     assert np.flatnonzero(found.gross).tolist() == [7]
-    assert fit.geometry is not None
-    expected = np.linalg.norm(p_M - smr_positions(fit.geometry, one.q), axis=1)
+    expected = np.linalg.norm(p_M - smr_positions(sure(fit.geometry), one.q), axis=1)
     np.testing.assert_allclose(found.length_m, expected, atol=1e-7)
     good = ~found.gross
     assert np.sqrt(np.mean((found.length_m[good] / found.sigma_m[good]) ** 2)) == pytest.approx(1.0, abs=0.2)
@@ -113,8 +110,7 @@ def test_a_reading_of_another_smr_has_no_weight(readings):
         p_M = one.p_M[stop] + (np.array([0.0, 1.2, 0.3]) if wrong else 0.0)
         report = fit.add([stop], one.q[[stop]], p_M[None], one.covariance_M[[stop]])
         if wrong:
-            assert report is not None
-            assert report.residual_mm > 1000.0
+            assert sure(report).residual_mm > 1000.0
     assert error_m(fit, one.q, one.true_M) < 0.15e-3
 
 
@@ -129,11 +125,9 @@ def test_points_on_one_line_and_the_same_stop_again_give_no_model():
 
 def test_a_parameter_set_of_another_arm_is_refused_before_anything_moves():
     profile = twin()
-    five = profile.arms["left"].type.model_copy(update={"joints": profile.arms["left"].type.joints[:5]})
-    arms = {"left": profile.arms["left"].model_copy(update={"type": five})}
-    paper = profile.calibration.model_copy(update={"parameter_set": "paper"})
+    arms = {"left": altered(profile.arms["left"], type={"joints": profile.arms["left"].type.joints[:5]})}
     with pytest.raises(InputError, match=r"arm 'left': calibration\.parameter_set: .* use 'auto'"):
-        OnlineFit(profile.model_copy(update={"arms": arms, "calibration": paper}), "left", np.zeros((3, 5)))
+        OnlineFit(altered(profile, arms=arms, calibration={"parameter_set": "paper"}), "left", np.zeros((3, 5)))
 
 
 def test_steps_that_do_not_end_leave_no_model_and_nothing_is_said_about_a_reading(readings, monkeypatch):

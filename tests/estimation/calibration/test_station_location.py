@@ -91,7 +91,7 @@ def twist_of(T):
     return np.concatenate([T[:3, 3], rotation_vectors(T[None, :3, :3])[0]])
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(seed=st.integers(0, 10_000), counts=st.sampled_from([{"left": 3}, {"left": 2, "right": 2}, {"right": 4}]))
 def test_exact_points_give_the_true_station(seed, counts):
     rng = np.random.default_rng(seed)

@@ -43,7 +43,7 @@ def problem(seed: int = 0, m: int = M) -> tuple[Candidates, Criterion]:
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_updates_equal_fresh_inverses(seed: int) -> None:
     candidates, criterion = problem(seed % 7)
     rng = np.random.default_rng(seed)
@@ -66,7 +66,7 @@ def test_updates_equal_fresh_inverses(seed: int) -> None:
 
 
 @given(st.integers(0, 1000))
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 def test_exchange_never_makes_a_choice_worse(seed: int) -> None:
     candidates, criterion = problem(seed)
     values = []

@@ -42,6 +42,8 @@ from tests.cell.run.small_runs import import_csv
 from tests.estimation.discovery.problems import calibrated_and_searched
 from tests.evidence.shared.series import load_entrant, sample_rows
 from tests.series import twin
+from tests.sure import sure
+from tests.twin import altered
 
 ROOT = Path(__file__).parents[3]
 STIFFNESS = [9.0e4, 6.0e4, 3.5e4, 1.2e4, 1.2e4, 1.2e4]
@@ -53,15 +55,13 @@ ECCENTRIC = {"joints": [1], "eccentricity": [2.0e-6], "radius": [0.025], "phase"
 
 def without_network(profile):
     """The profile without residual networks: discovery's findings do not depend on them, and training takes long."""
-    return profile.model_copy(update={"network": profile.network.model_copy(update={"kind": "none"})})
+    return altered(profile, network={"kind": "none"})
 
 
 def measured_run(folder, plan, effects, seed=7, noise_seed=0):
     """A run of a twin with ``effects`` by arm, measured in one go by the plant."""
     profile = load_profile(ROOT / "profiles" / "twin.yaml")
-    assert profile.plant is not None
-    settings = profile.plant.model_copy(update={"effects": effects, "seed": seed})
-    profile = without_network(profile.model_copy(update={"plant": settings}))
+    profile = without_network(altered(profile, plant={"effects": effects, "seed": seed}))
     plant, rng = build_plant(profile), np.random.default_rng(noise_seed)
 
     def fill(run):
@@ -86,8 +86,7 @@ def measured_run(folder, plan, effects, seed=7, noise_seed=0):
 def discovered(folder, plan, effects, **seeds):
     with measured_run(folder, plan, effects, **seeds) as run:
         found = calibrated_and_searched(run)
-        calibrated = read_results(run).calibrate
-        assert calibrated is not None
+        calibrated = sure(read_results(run).calibrate)
         return calibrated, found.arms, json.loads(with_effects(calibrated, discover_result(found)).to_json())
 
 
@@ -125,8 +124,7 @@ def test_nothing_is_named_in_a_cell_without_effects(tmp_path, plan, seed):
         assert names(discovery) == set()
         assert discovery.result.verdict == "nothing missing"
         assert max(discovery.result.candidates.values()) < 0.5
-        assert discovery.result.structure is not None
-        assert {test.against for test in discovery.result.structure.tests} > {"joints", "approach", "position"}
+        assert {test.against for test in sure(discovery.result.structure).tests} > {"joints", "approach", "position"}
         assert discovery.result.heldout_mm.after == pytest.approx(discovery.result.noise_floor_mm, rel=0.25)
 
 
@@ -275,10 +273,8 @@ def test_effects_that_the_data_cannot_show_are_listed(plan):
     assert "tracker_scale" in invisible
     seen = {entry.effect: entry for entry in found.result.not_found}
     smallest_mm, visible = seen["backlash"].smallest_seen_rms_mm, seen["pedestal_coupling"].visible_share
-    assert smallest_mm is not None
-    assert smallest_mm < 0.02
-    assert visible is not None
-    assert visible > 0.9
+    assert sure(smallest_mm) < 0.02
+    assert sure(visible) > 0.9
     assert set(invisible) | set(seen) == set(EFFECTS) - {"unknown"}
 
 
@@ -362,7 +358,7 @@ def both():
     geometry, q, true, rng = turned_arm(180, 1)
     readings = readings_of(geometry, q, true, rng)
     profile = twin()
-    profile = profile.model_copy(update={"discovery": profile.discovery.model_copy(update={"null_simulations": 100})})
+    profile = altered(profile, discovery={"null_simulations": 100})
     found = {}
     for name, its in (("both", readings), ("points", replace(readings, quaternion_M=None, sigma_rad=None))):
         arm, _ = calibrate_arm(profile, "left", its)
@@ -389,13 +385,11 @@ def test_the_last_joint_shows_by_orientation_only(both):
 def test_stated_intervals_of_orientations_hold(both):
     readings, found = both
     its = measured_quantities(readings, measurement_conditions(readings))
-    assert its.angular is not None
-    model, rows = found["both"].model, its.angular & np.isin(its.reading, readings.in_split("validate"))
+    model, rows = found["both"].model, sure(its.angular) & np.isin(its.reading, readings.in_split("validate"))
     left = its.readings.p_M - model.predict(its.readings.q, conditions=its.conditions)
     sd = model.measured_uncertainty(its.readings.q, its.conditions)
     assert 0.90 < np.mean(np.abs(left[rows]) < 1.96 * sd[rows, None]) < 0.99
-    assert model.posterior is not None
-    assert model.posterior.noise.rad == pytest.approx(SIGMA_RAD, rel=0.15)
+    assert sure(model.posterior).noise.rad == pytest.approx(SIGMA_RAD, rel=0.15)
 
 
 def test_commands_put_the_flange_where_base_and_links_turn_it(both):

@@ -32,7 +32,8 @@ from cellapp.robot.kinematics.chain import parameter_names, smr_positions
 from cellapp.robot.model.nominal import nominal_arm
 from tests.arms import STATION
 from tests.estimation.discovery.problems import arm_of
-from tests.twin import PROFILES
+from tests.sure import sure
+from tests.twin import PROFILES, altered
 
 NOISE = FitScatter(1.0, 0.5)
 FAR_ABOVE = FitScatter(3.0, 0.0)
@@ -113,8 +114,7 @@ HALF_PLAY = np.array([1.5e-4, 1e-4, 0.0, 0.0, 0.0, 0.0])
 def discovered(sign: int) -> ArmDiscoveryResult:
     """Discovery in readings with backlash whose approach signs are multiplied by ``sign``."""
     profile = load_profile(TWIN)
-    few = profile.discovery.model_copy(update={"null_simulations": 60, "false_alarm": 0.02})
-    profile = profile.model_copy(update={"discovery": few})
+    profile = altered(profile, discovery={"null_simulations": 60, "false_alarm": 0.02})
     model, rng = arm_of(profile), np.random.default_rng(5)
     q, approach = rng.uniform(-2.5, 2.5, (STOPS, 6)), rng.choice([-1, 1], (STOPS, 6))
     readings = Readings(
@@ -139,8 +139,7 @@ def test_backlash_of_the_opposite_sign_is_said_and_unknown() -> None:
     assert "of the opposite sign at joints 1, 2: check the approach convention" in accepted.description.sentence
     assert accepted.description.sentence in arm.sentence
     assert 100.0 < accepted.description.size_um < 200.0
-    assert accepted.meaning is not None
-    assert accepted.meaning.check[0] == "Check the approach convention of the readings."
+    assert sure(accepted.meaning).check[0] == "Check the approach convention of the readings."
 
 
 def test_backlash_of_the_right_sign_is_named() -> None:

@@ -35,7 +35,8 @@ from cellapp.robot.effects import ActsOn, EffectColumn
 from drivers.no_driver import NoDriver
 from tests.estimation.discovery.problems import PLAIN, calibrated_and_searched, problem, proposed
 from tests.program import app
-from tests.twin import small_twin, with_arms
+from tests.sure import sure
+from tests.twin import altered, small_twin, with_arms
 
 STOPS = 90
 PROPOSED = 20
@@ -48,9 +49,7 @@ LITTLE = Effort(sampled=20, kept=50, candidates=480)
 
 def a_profile(effects: Mapping[str, Any]) -> Profile:
     profile = small_twin(STOPS, plant={"effects": effects, "seed": 5})
-    splits = profile.splits.model_copy(update={"identify": 45, "train": 25, "validate_": 20})
-    network = profile.network.model_copy(update={"kind": "none"})
-    return profile.model_copy(update={"splits": splits, "network": network})
+    return altered(profile, splits={"identify": 45, "train": 25, "validate_": 20}, network={"kind": "none"})
 
 
 def measured_run(folder: Path, effects: Mapping[str, Any], plan: dict[str, np.ndarray], *, tied: bool) -> RunFile:
@@ -220,20 +219,16 @@ def test_collecting_the_proposed_stops_distinguishes_the_effects(
             readings = run.readings(name)
             assert len(readings) == STOPS + 4 * PROPOSED
             np.testing.assert_array_equal(readings.in_split("validate"), held_out[name])
-            assert readings.step is not None
-            assert readings.dwell_s is not None
             step = proposal.stops.q[name] - proposal.stops.approach_from[name]
             for stop, row in enumerate(range(STOPS, STOPS + PROPOSED)):
-                assert readings.split is not None
-                assert readings.split[row] == "train"
-                np.testing.assert_allclose(readings.step[row], step[stop], atol=1e-9)
+                assert sure(readings.split)[row] == "train"
+                np.testing.assert_allclose(sure(readings.step)[row], step[stop], atol=1e-9)
                 np.testing.assert_array_equal(readings.approach[row], np.sign(step[stop]))
-                assert 0.0 < readings.dwell_s[row] - proposal.stops.dwell_s[name][stop] < 10.0
+                assert 0.0 < sure(readings.dwell_s)[row] - proposal.stops.dwell_s[name][stop] < 10.0
         for name, discovery in calibrated_and_searched(run).arms.items():
             assert discovery.result.accepted[0].effect == "backlash", name
             assert "unsettled_measurement" not in discovery.result.accepted[0].answer_set, name
-            assert discovery.result.accepted[0].posterior is not None
-            assert discovery.result.accepted[0].posterior > 0.9, name
+            assert sure(discovery.result.accepted[0].posterior) > 0.9, name
             assert discovery.result.candidates["unsettled_measurement"] < 0.01, name
 
 

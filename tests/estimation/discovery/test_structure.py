@@ -40,6 +40,7 @@ from cellapp.robot.effects.context import Wave
 from cellapp.robot.kinematics.chain import smr_positions
 from tests.estimation.discovery.problems import arm_of, data_of
 from tests.evidence.shared.series import load_entrant
+from tests.sure import sure
 from tests.twin import PROFILES, small_twin
 
 SIGMA_M = 10e-6
@@ -223,9 +224,7 @@ def test_discovery_of_a_real_arm_bears_gross_errors() -> None:
     p_M[[80, 320, 640]] += np.array([[0.002, 0.0, 0.0], [0.0, -0.01, 0.0], [0.0, 0.0, 0.03]])
     disturbed = discover_arm(replace(calibrated, readings=replace(readings, p_M=p_M)))
     disturbed_mm, plain_mm = (one.result.heldout_position_mm for one in (disturbed, plain))
-    assert disturbed_mm is not None
-    assert plain_mm is not None
-    assert disturbed_mm.after.mean < 1.05 * plain_mm.after.mean
+    assert sure(disturbed_mm).after.mean < 1.05 * sure(plain_mm).after.mean
     assert "3 readings with gross errors were left out (configurations 80, 320, 640)" in disturbed.result.sentence
 
 
@@ -303,8 +302,7 @@ def test_it_is_the_marginal_likelihood_of_the_readings():
     dense = multivariate_normal(np.zeros(N), (X * variance) @ X.T + NOISE * np.eye(N))
     wanted = dense.logpdf(y) + 0.5 * N * math.log(2.0 * math.pi)
     # columns whose prior is below a thousandth of the noise are left out
-    found = ProcessEvidence.of(gathered(parts, y), variance, NOISE)
-    assert found is not None
+    found = sure(ProcessEvidence.of(gathered(parts, y), variance, NOISE))
     assert found.value == pytest.approx(wanted, abs=0.02)
 
 

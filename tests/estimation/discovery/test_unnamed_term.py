@@ -21,6 +21,7 @@ from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel, CellModel
 from cellapp.robot.model.nominal import bodies_of, nominal_arm
 from tests.arms import STATION
+from tests.sure import sure
 from tests.twin import PROFILES
 
 N, LEARNT, SIGMA_M, JOINT_RAD = 260, 200, 1e-5, 5e-5
@@ -93,7 +94,6 @@ def test_joints_that_depend_on_their_neighbours_are_predicted_to_the_noise_witho
     moved = np.zeros((N, 6))
     moved[:, 1], moved[:, 2] = 1e-4 * np.sin(2.0 * q[:, 1] + q[:, 2]), 1e-4 * np.cos(q[:, 2] - q[:, 3])
     found = discover_arm(ArmReadings.alone(PROFILE, "left", MODEL, measured(q, moved, 1.0, rng))).result
-    assert found.unnamed is not None
-    assert found.unnamed.in_force
+    assert sure(found.unnamed).in_force
     assert found.accepted == ()
     assert found.heldout_mm.after < 1.25e3 * np.sqrt(3.0) * SIGMA_M < 0.5 * found.heldout_mm.before

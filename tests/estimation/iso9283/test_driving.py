@@ -38,15 +38,15 @@ from drivers.plant import Plant
 from drivers.trackers.simulated import SimulatedTracker
 from tests.cell.planning.planned_cells import one_arm, seven_joints, three_arms
 from tests.crossed_beam import crossed_beam
-from tests.twin import plant_of, small_twin
+from tests.sure import sure
+from tests.twin import altered, plant_of, small_twin
 
 REPEATABILITY_RAD = 5e-5
 
 
 def cell_of(profile: Profile, **plant: Any) -> Profile:
     """The cell without hidden effects, and with other keys of its plant."""
-    assert profile.plant is not None
-    return profile.model_copy(update={"plant": profile.plant.model_copy(update={"effects": {}, **plant})})
+    return altered(profile, plant={"effects": {}, **plant})
 
 
 def task_of(profile: Profile, *tests: IsoTest, cycles: int = 2, aligned: bool = False, **changes: Any) -> IsoTask:
@@ -112,8 +112,7 @@ def test_without_noise_accuracy_is_the_true_error_of_the_cell(*, aligned: bool) 
     findings, plant = driven(task)
     programme = findings.programmes["left", "nominal"]
     tests = results(task, findings)["left"].tests["nominal"]
-    assert findings.model is not None
-    base = findings.model.arms["left"].nominal.T_M_B()[:3, :3]
+    base = sure(findings.model).arms["left"].nominal.T_M_B()[:3, :3]
     assert [one.pose for one in tests.pose] == ["P1", "P2", "P3", "P4", "P5"]
     for one in tests.pose:
         q = findings.cubes["left"].q[one.pose]
@@ -145,8 +144,7 @@ def test_repeatability_is_that_of_the_joints() -> None:
         lengths = np.linalg.norm(scatter - scatter.mean(axis=0), axis=1)
         expected_mm = 1e3 * (lengths.mean() + 3.0 * lengths.std())
         assert one.repeatability.n == 30
-        assert one.repeatability.expanded_mm is not None
-        assert abs(one.repeatability.value_mm - expected_mm) < 2.0 * one.repeatability.expanded_mm
+        assert abs(one.repeatability.value_mm - expected_mm) < 2.0 * sure(one.repeatability.expanded_mm)
         assert one.repeatability.value_mm == pytest.approx(expected_mm, rel=0.45)
 
 
@@ -176,16 +174,14 @@ def test_drift_and_paths_of_an_arm_that_does_not_drift() -> None:
     assert tests.drift is not None
     assert len(tests.drift.groups) == 2
     assert tests.drift.minutes >= 0.5
-    assert tests.drift.accuracy.expanded_mm is not None
-    assert tests.drift.accuracy.value_mm <= 2.0 * tests.drift.accuracy.expanded_mm
+    assert tests.drift.accuracy.value_mm <= 2.0 * sure(tests.drift.accuracy.expanded_mm)
     assert [path.path for path in tests.path] == ["line P2 to P4", "large circle", "small circle"]
     by_name = {path.path: path for path in tests.path}
     for path in tests.path:
         assert (path.accuracy.n, path.speed_mm_s) == (2, 250.0)
         assert path.points == 50
     for name in ("line P2 to P4", "large circle"):
-        velocity = by_name[name].velocity
-        assert velocity is not None
+        velocity = sure(by_name[name].velocity)
         if by_name[name].slowed:
             assert velocity.accuracy_percent < 0.1
             assert "allows" in by_name[name].slowed
@@ -237,21 +233,19 @@ def five_joints() -> Profile:
     profile = one_arm()
     left = profile.arms["left"]
     capsules = tuple(one for one in left.type.capsules if one.frame <= 5)
-    kind = left.type.model_copy(update={"joints": left.type.joints[:5], "capsules": capsules})
     assert left.home is not None
-    return profile.model_copy(update={"arms": {"left": left.model_copy(update={"type": kind, "home": left.home[:5]})}})
+    return altered(
+        profile, arms={"left": {"type": {"joints": left.type.joints[:5], "capsules": capsules}, "home": left.home[:5]}}
+    )
 
 
 def test_the_drift_of_a_base_is_found() -> None:
     """A base that moves along its axis by 0.1 mm in ten minutes."""
     profile = cell_of(one_arm(), noise=False)
-    assert profile.plant is not None
     drift = {"shift": [0.0, 0.0, 1e-4], "turn": [0.0, 0.0, 0.0], "law": "linear", "time": 600.0}
-    plant = profile.plant.model_copy(update={"effects": {"left": {"base_drift": drift}}})
-    task = task_of(profile.model_copy(update={"plant": plant}), "drift", drift_s=600.0)
+    task = task_of(altered(profile, plant={"effects": {"left": {"base_drift": drift}}}), "drift", drift_s=600.0)
     findings, _ = driven(task)
-    found = results(task, findings)["left"].tests["nominal"].drift
-    assert found is not None
+    found = sure(results(task, findings)["left"].tests["nominal"].drift)
     assert len(found.groups) == 3
     assert found.minutes == pytest.approx(10.0, abs=1.0)
     assert found.shift_mm == pytest.approx(0.01 * found.minutes, rel=1e-3)
@@ -266,8 +260,7 @@ def test_the_drift_of_a_base_is_found() -> None:
 def test_other_cells_find_cubes_that_the_gate_accepts(cell: Callable[[], Profile]) -> None:
     task = task_of(cell_of(cell()), "pose", arms=("left",))
     findings, _ = driven(task)
-    cube = results(task, findings)["left"].cube
-    assert cube is not None
+    cube = sure(results(task, findings)["left"].cube)
     assert cube.edge_mm > 200.0
     assert cube.limited_by
     assert missing_words(findings, task.tests) == ()

@@ -8,30 +8,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from cellapp.estimation.motion.streams import JointStream, PointStream, Recording
-
-UR10 = np.array(
-    [
-        [0.0, 0.1273, 0.0, np.pi / 2],
-        [0.0, 0.0, -0.612, 0.0],
-        [0.0, 0.0, -0.5723, 0.0],
-        [0.0, 0.163941, 0.0, np.pi / 2],
-        [0.0, 0.1157, 0.0, -np.pi / 2],
-        [0.0, 0.0922, 0.0, 0.0],
-    ]
-)
-"""theta, d, a, alpha of a UR10."""
-SEVEN = np.array(
-    [
-        [0.0, 0.34, 0.0, -np.pi / 2],
-        [0.0, 0.0, 0.0, np.pi / 2],
-        [0.0, 0.40, 0.0, np.pi / 2],
-        [0.0, 0.0, 0.0, -np.pi / 2],
-        [0.0, 0.40, 0.0, -np.pi / 2],
-        [0.0, 0.0, 0.0, np.pi / 2],
-        [0.0, 0.126, 0.0, 0.0],
-    ]
-)
-"""theta, d, a, alpha of an arm with seven joints."""
+from tests.arms import UR10
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,8 @@ from cellapp.estimation.motion.streams import JointStream, PointStream, Recordin
 from cellapp.ground.errors import InputError, NotConverged
 from cellapp.ground.progress import ignore_words
 from cellapp.robot.kinematics.chain import nominal_geometry, smr_positions
-from tests.estimation.motion.simulated import SEVEN, UR10, record, sweep, true_arm
+from tests.arms import SEVEN, UR10
+from tests.estimation.motion.simulated import record, sweep, true_arm
 
 PLAY = np.array([30e-6, 20e-6, 25e-6, 40e-6, 40e-6, 0.0])
 

@@ -34,6 +34,8 @@ from cellapp.robot.kinematics.chain import parameter_names, smr_positions
 from cellapp.robot.kinematics.transforms import rotation_vectors
 from tests.cell.run.small_runs import import_csv
 from tests.estimation.prior.conftest import ELSEWHERE, SimulatedArm, earlier_of
+from tests.sure import sure
+from tests.twin import altered
 
 TOOL = np.array([-0.03, 0.05, 0.11])
 
@@ -191,12 +193,7 @@ ROOT = Path(__file__).parents[3]
 
 def profile_of(name: str, identify: int) -> Profile:
     profile = load_profile(ROOT / "profiles" / f"{name}.yaml")
-    return profile.model_copy(
-        update={
-            "splits": profile.splits.model_copy(update={"identify": identify}),
-            "network": profile.network.model_copy(update={"kind": "none"}),
-        }
-    )
+    return altered(profile, splits={"identify": identify}, network={"kind": "none"})
 
 
 def imported(folder: Path, name: str, first: int, every: int, count: int, identify: int) -> Path:
@@ -235,11 +232,10 @@ def test_the_prior_is_stored_and_shown(runs: dict[str, Path]) -> None:
         result = read_results(run).calibrate
         basis = stages.current["calibrate"].basis
     assert result is not None
-    assert basis is not None
     arm = result.arms["left"]
     assert arm.prior is not None
     assert (Path(arm.prior.run), arm.prior.stage) == (runs["first"], "calibrate")
-    assert arm.prior.sha256 == basis.priors["left"].sha256
+    assert arm.prior.sha256 == sure(basis).priors["left"].sha256
     assert arm.prior.tested > 20
     assert arm.validate_["effects"].position_mm.mean <= arm.validate_["geometry"].position_mm.mean
     assert any("taken from you" in note for note in result.notes)
@@ -276,8 +272,7 @@ def test_discovery_keeps_what_was_carried_over(copies: dict[str, Path]) -> None:
         result = discover_run(run)
         stages = read_stages(run)
         model = model_of(run, stage_in_force(run, stages)).arms["left"]
-        assert stages.current["discover"].basis is not None
-        assert stages.current["discover"].basis.priors
+        assert sure(stages.current["discover"].basis).priors
     assert "carried over: geometry" in result.arms["left"].sentence
     if not result.arms["left"].accepted:
         assert model.geometry.vector().tolist() == calibrated.geometry.vector().tolist()

@@ -10,7 +10,7 @@ from cellapp.commands.run_results import RunResults
 from cellapp.estimation.iso9283.records import ArmIso9283, CommandedTests, Iso9283Result, IsoValue, PoseCharacteristics
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import ErrorSummary
-from tests.twin import small_twin
+from tests.twin import altered, small_twin
 
 DISTANCE_M = 4.0
 
@@ -19,12 +19,7 @@ def profile_with(tolerances: Mapping[str, Any], traceability: Mapping[str, Any] 
     """The twin with these tolerances [m], and the twin's traceability with some keys changed."""
     twin = small_twin()
     empty = {name: None for name in type(twin.tolerances).model_fields if name not in ("decision", "mpe")}
-    return twin.model_copy(
-        update={
-            "tolerances": twin.tolerances.model_copy(update={**empty, **tolerances}),
-            "traceability": twin.traceability.model_copy(update=traceability or {}),
-        }
-    )
+    return altered(twin, tolerances={**empty, **tolerances}, traceability=traceability or {})
 
 
 def measured(name: str, arm: str, error_mm: float, across_m: float = 0.0) -> MeasuredTarget:

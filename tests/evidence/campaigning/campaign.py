@@ -30,6 +30,7 @@ from tests.evidence.campaigning.monitor import Failure
 from tests.evidence.campaigning.oracle import ArmEstimate, judge
 from tests.evidence.campaigning.world import Endless, SimulatedControl, World
 from tests.evidence.shared.cells import bare
+from tests.twin import altered
 from tests.verbs import collect_by
 
 Plan = Mapping[str, NDArray[np.float64]]
@@ -93,9 +94,7 @@ def campaign_profile(profile: Profile, stops: int) -> Profile:
     own = bare(profile, stops)
     if not own.tracker.driver.needs_plant or not all(arm.driver.needs_plant for arm in own.arms.values()):
         raise InputError(f"profile {profile.name}: campaigns need drivers of kind 'simulated' for all devices")
-    plan = own.plan.model_copy(update={"reserve": RESERVE})
-    sensors = own.sensors.model_copy(update={"air": SimulatedAirSensorSettings()})
-    return own.model_copy(update={"plan": plan, "sensors": sensors})
+    return altered(own, plan={"reserve": RESERVE}, sensors={"air": SimulatedAirSensorSettings()})
 
 
 def sampled_collection(rng: np.random.Generator) -> Collection:

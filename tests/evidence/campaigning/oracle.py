@@ -17,6 +17,7 @@ from cellapp.estimation.readings import Readings
 from cellapp.robot.model.nominal import nominal_arm
 from drivers.plant import Clearance
 from tests.evidence.campaigning.monitor import Failure
+from tests.sure import sure
 
 if TYPE_CHECKING:
     from tests.evidence.campaigning.world import World
@@ -60,8 +61,7 @@ def judge(
         failures += _false(world, name, arm, plan[name])
     missing, unlisted = _missing(run, readings, run.profile.plan.stops)
     failures += unlisted
-    clearance = world.plant.clearance
-    assert clearance is not None
+    clearance = sure(world.plant.clearance)
     failures += _collisions(clearance)
     moving = [name for name in world.plant.names if world.plant.moving(name)]
     failures += [Failure("motion after a stop", f"arm {name} moves at the end") for name in moving]
@@ -103,8 +103,7 @@ def _false(world: World, name: str, readings: Readings, q: NDArray[np.float64]) 
         return []
     elsewhere = np.abs(readings.q - q[readings.configuration]).max(axis=1) > _PLANNED_RAD
     off = readings.p_M - world.plant.smr_positions(name, readings.q)
-    assert readings.covariance_M is not None
-    square = np.einsum("na,na->n", off, np.linalg.solve(readings.covariance_M, off[..., None])[..., 0])
+    square = np.einsum("na,na->n", off, np.linalg.solve(sure(readings.covariance_M), off[..., None])[..., 0])
     away = square > chdtri(3, FALSE_ALARM)
     return [
         *(

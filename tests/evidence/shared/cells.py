@@ -21,6 +21,8 @@ from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.transforms import Array, quaternions_of
 from drivers.plant import Plant
 from tests.evidence.skeleton import ROOT
+from tests.sure import sure
+from tests.twin import altered
 
 TWIN = ROOT / "profiles" / "twin.yaml"
 _STIFFNESS, _PLAY, _CURVE = (6e4, 3e4), 1e-4, 1e-4
@@ -34,12 +36,10 @@ def sampled_cell(profile: Profile, seed: int, *, mix: bool = False) -> Profile:
     ``mix`` adds hidden effects of the arms themselves, with curves drawn by ``seed``.
     """
     profile = _with_mix(profile, seed) if mix else profile
-    assert profile.plant is not None
-    return profile.model_copy(update={"seed": seed, "plant": profile.plant.model_copy(update={"seed": seed})})
+    return altered(profile, seed=seed, plant={"seed": seed})
 
 
 def _with_mix(profile: Profile, seed: int) -> Profile:
-    assert profile.plant is not None
     hidden = {}
     for place, (name, arm) in enumerate(profile.arms.items()):
         count = len(arm.type.joints)
@@ -49,8 +49,7 @@ def _with_mix(profile: Profile, seed: int) -> Profile:
         else:
             curves = {"joints": list(range(1, count)), "rms": [_CURVE] * (count - 1), "lowest": 2, "highest": 30}
             hidden[name] = {"joint_compliance": sag, "transmission_error": {"mode": "curve", "seed": seed, **curves}}
-    plant = profile.plant.model_copy(update={"effects": hidden})
-    return profile.model_copy(update={"name": f"{profile.name}, mix", "plant": plant})
+    return altered(profile, name=f"{profile.name}, mix", plant={"effects": hidden})
 
 
 def measured_plan(profile: Profile, plan: Mapping[str, Array], seed: int) -> dict[str, Readings]:
@@ -98,11 +97,8 @@ def measured_by(
 
 def bare(profile: Profile, stops: int, plant_seed: int | None = None) -> Profile:
     """The profile with ``stops`` stops and no hidden effects; ``plant_seed`` draws another true geometry."""
-    assert profile.plant is not None
-    seed = profile.plant.seed if plant_seed is None else plant_seed
-    plant = profile.plant.model_copy(update={"effects": {}, "seed": seed})
-    plan = profile.plan.model_copy(update={"stops": stops})
-    return profile.model_copy(update={"plant": plant, "plan": plan})
+    seed = sure(profile.plant).seed if plant_seed is None else plant_seed
+    return altered(profile, plant={"effects": {}, "seed": seed}, plan={"stops": stops})
 
 
 @cache

@@ -15,6 +15,7 @@ from cellapp.robot.kinematics.transforms import Array
 from drivers.plant import Plant
 from drivers.plant.mechanism import Mechanism
 from drivers.plant.transforms import inverse, rigid, transform_points
+from tests.sure import sure
 
 Changed = Callable[[Profile], Plant]
 """The plant of a profile, with a change."""
@@ -43,12 +44,10 @@ def parameter_plant(profile: Profile, arm: str, name: str, change: float) -> Pla
 def shifted_plant(profile: Profile, what: str, shift: Array) -> Plant:
     """Build the cell with the "tracker" or, as "base NAME" or "smr NAME", a base or an SMR shifted by (3,) [m]."""
     kind, _, arm = what.partition(" ")
-    assert profile.plant is not None
     if kind == "tracker":
-        pose = profile.plant.tracker_pose or profile.tracker.pose
-        assert pose is not None
+        pose = sure(sure(profile.plant).tracker_pose or profile.tracker.pose)
         there = _with(pose, position=tuple((np.array(pose.position) + shift).tolist()))
-        return build_plant(_with(profile, plant=_with(profile.plant, tracker_pose=there)))
+        return build_plant(_with(profile, plant=_with(sure(profile.plant), tracker_pose=there)))
     its = profile.arms[arm]
     if kind == "base":
         assert its.base is not None

@@ -18,6 +18,7 @@ from cellapp.robot.kinematics.chain import Geometry, flange_poses
 from cellapp.robot.kinematics.transforms import Array, invert, rpy_of, transform, xyz_of
 from cellapp.robot.model import CellModel
 from drivers.plant import suggest, suggest_other_law
+from tests.sure import sure
 
 _HIDDEN_SEED, _TARGET_SEED = 0x71DE, 0x7A26
 """Mixed with the trial's seed."""
@@ -30,7 +31,6 @@ def sample_hidden(profile: Profile, seed: int, duration_s: float) -> dict[str, d
 
     Onsets and time constants lie within the run's length ``duration_s`` [s].
     """
-    assert profile.plant is not None
     configs = {config.name: config for config in build_plant(profile).config.arms}
     hidden: dict[str, dict[str, Any]] = {}
     for place, name in enumerate(profile.arms):
@@ -39,7 +39,7 @@ def sample_hidden(profile: Profile, seed: int, duration_s: float) -> dict[str, d
         other = bool(rng.random() < _OTHER_LAWS) and case.kind != OUT
         draw = suggest_other_law if other else suggest
         drawn = {slug: draw(slug, rng, configs[name], duration_s) for slug in case.slugs}
-        hidden[name] = {**profile.plant.effects.get(name, {}), **drawn}
+        hidden[name] = {**sure(profile.plant).effects.get(name, {}), **drawn}
     return hidden
 
 

@@ -35,6 +35,7 @@ from tests.evidence.wire.polling import comes_about
 from tests.evidence.wire.storm import SAME_RAD, deviation, undisturbed
 from tests.evidence.wire.storm_cell import StormCell, emulated_cell, wire_profile
 from tests.evidence.wire.storm_operator import Stored, stored
+from tests.twin import altered, with_arm
 
 TITLE = "Attacks on the wire"
 ALONE = True
@@ -308,9 +309,8 @@ def attacks(profile: Profile, names: Sequence[str], repeats: int) -> dict[str, A
     """Attack the collecting of one run ``repeats`` times with each; compare its readings with an undisturbed run's."""
     profile = wire_profile(profile, stops=12 + 2 * len(names) * repeats)
     for host, arm in zip(HOSTS, profile.arms, strict=True):
-        profile = _with_driver(profile, arm, host=host, watchdog_hz=5.0)
-    driver = profile.tracker.driver.model_copy(update={"url": TRACKER})
-    profile = profile.model_copy(update={"tracker": profile.tracker.model_copy(update={"driver": driver})})
+        profile = with_arm(profile, arm, driver={"host": host, "watchdog_hz": 5.0})
+    profile = altered(profile, tracker={"driver": {"url": TRACKER}})
     with tempfile.TemporaryDirectory(prefix="cellapp-wire-") as folder, in_real_time():
         parent = Path(folder)
         parent.chmod(0o755)  # another account looks
@@ -326,12 +326,6 @@ def attacks(profile: Profile, names: Sequence[str], repeats: int) -> dict[str, A
             readings = sum(len(run.readings(name).configuration) for name in run.arms())
     false = sum(one.max_sigmas > _SIGMAS or one.joints_max_rad > SAME_RAD for one in found)
     return {"struck": [asdict(one) for one in struck], "readings": readings, "false": false, "complete": code}
-
-
-def _with_driver(profile: Profile, name: str, **changes: object) -> Profile:
-    arm = profile.arms[name]
-    driver = arm.driver.model_copy(update=changes)
-    return profile.model_copy(update={"arms": {**profile.arms, name: arm.model_copy(update={"driver": driver})}})
 
 
 def summary(results: list[dict[str, Any]], asked: argparse.Namespace) -> Evidence:

@@ -1,23 +1,28 @@
-"""Measurements over the tracker bridge with random faults: none may be lost, delivered twice or mixed up."""
+"""Measurements through an emulated tracker bridge over TCP, a random fault in each group of them: none may be lost,
+delivered twice or mixed up."""
 
 from __future__ import annotations
 
+import argparse
 import time
-from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from cellapp.cell.driving.cell import build_plant
-from cellapp.ground.errors import HardwareError, InputError
+from cellapp.cell.profile import load_profile
+from cellapp.ground.errors import HardwareError
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import UNATTENDED, JobToken
-from cellapp.ground.results import Result
 from drivers.emulators.tracker_bridge import FAULTS, TrackerBridgeEmulator
 from drivers.trackers.bridge import BridgeTracker
 from drivers.trackers.protocol import Preparation, TargetLost, TrackerError, TrackerRefused
+from tests.evidence.shared.cells import TWIN
+from tests.evidence.skeleton import Evidence, Limit
 
+TITLE = "Tracker bridge"
+ALONE = True
 SECOND_CLIENT = "second-client"
 ALL_FAULTS = (*FAULTS, SECOND_CLIENT)
 
@@ -28,90 +33,38 @@ _NEAR_M = 1e-3
 """A point within this distance belongs to the nest: nests are decimetres apart, noise is below 0.1 mm."""
 
 
-class BridgeResult(Result, schema="cellapp-trials-bridge"):
-    """``trials bridge``: what became of the measurements.
-
-    Attributes
-    ----------
-    asked, delivered : int
-        Requested and delivered measurements.
-    lost, doubled, strange : int
-        Measurements that were never delivered; that were delivered or made twice; that belong to another nest.
-    faults : mapping
-        Fault -> how often it was caused.
-    recovery_s : mapping
-        Fault -> longest time of a measurement with it [s].
-    undisturbed_s : float or None
-        Median time of a measurement without a fault [s].
-    """
-
-    asked: int
-    delivered: int
-    lost: int
-    doubled: int
-    strange: int
-    faults: Mapping[str, int]
-    recovery_s: Mapping[str, float]
-    undisturbed_s: float | None
+def options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--measurements", type=int, default=1000)
+    parser.add_argument("--every", type=int, default=20)
+    parser.add_argument("--seed", type=int, default=0)
 
 
-def bridge_trial(
-    profile: Profile,
-    measurements: int = 1000,
-    every: int = 20,
-    seed: int = 0,
-    serial: tuple[str, str] | None = None,
-    job: JobToken = UNATTENDED,
-) -> BridgeResult:
-    """Measure nests through an emulated bridge over TCP, with a random fault in each group of ``every`` measurements.
+def cases(asked: argparse.Namespace) -> dict[str, dict[str, Any]]:
+    return {"bridge": {key: getattr(asked, key) for key in ("measurements", "every", "seed")}}
 
-    ``serial`` names the two ends of a serial cable, the bridge's and the client's, to go over that instead.
 
-    Raises
-    ------
-    InputError
-        If the profile has no simulated cell.
-    HardwareError
-        If the bridge cannot be connected at all.
-    Cancelled
-    """
-    if measurements < every or every < 1:
-        raise InputError("trials bridge: there must be at least one group of measurements, of at least one each")
-    nests = _nests(profile)
-    fault_at = _sampled_faults(measurements, every, seed, ALL_FAULTS if serial is None else FAULTS)
+def one(case: dict[str, Any]) -> dict[str, Any]:
+    """Measure nests through an emulated bridge; what became of the measurements."""
+    profile = load_profile(TWIN)
+    nests, fault_at, log = _nests(profile), _sampled_faults(**case), _Log()
     with ExitStack() as stack:
         emulator = stack.enter_context(
-            TrackerBridgeEmulator(
-                build_plant(profile),
-                nests=nests,
-                reboot_s=0.3,
-                slow_s=1.6 * _SILENCE_S,
-                port=0 if serial is None else None,
-                serial_url=None if serial is None else serial[0],
-            )
+            TrackerBridgeEmulator(build_plant(profile), nests=nests, reboot_s=0.3, slow_s=1.6 * _SILENCE_S)
         )
-        url = emulator.url if serial is None else serial[1]
-        tracker = BridgeTracker(url, timeout_s=_SILENCE_S, preparation=Preparation())
+        tracker = BridgeTracker(emulator.url, timeout_s=_SILENCE_S, preparation=Preparation())
         stack.callback(tracker.disconnect)
-        try:
-            tracker.connect()
-        except TrackerError as error:
-            raise HardwareError(str(error)) from error
-        log = _Log()
-        for number in range(measurements):
-            job.check()
+        tracker.connect()
+        for number in range(case["measurements"]):
             fault = fault_at.get(number, "")
-            job.tell("bridge", number, measurements, fault)
             nest = list(nests)[number % len(nests)]
             began_s = time.monotonic()
             if fault == SECOND_CLIENT:
-                _second_client(url)
+                _second_client(emulator.url)
             elif fault:
                 emulator.fault(fault)
             _measure(tracker, nests[nest], fault, began_s, log)
         made = emulator.tracker.measured
-    job.tell("bridge", measurements, measurements, "done")
-    return log.result(measurements, made)
+    return log.result(case["measurements"], made)
 
 
 @dataclass
@@ -123,29 +76,27 @@ class _Log:
     strange: int = 0
     lost: int = 0
 
-    def result(self, asked: int, made: int) -> BridgeResult:
-        """The summary; ``made`` is the number of measurements that the tracker made."""
+    def result(self, asked: int, made: int) -> dict[str, Any]:
+        """Measurements that were delivered, lost, delivered or made twice, or belong to another nest; and times [s].
+
+        ``made`` is the number of measurements that the tracker made.
+        """
         delivered, took_s = len(self.stamps_s), self.took_s
         forgotten = len(took_s["reboot"])  # made, and lost with the bridge's memory before delivery
-        return BridgeResult(
-            asked=asked,
-            delivered=delivered,
-            lost=self.lost,
-            doubled=delivered - len(set(self.stamps_s)) + max(0, made - forgotten - delivered),
-            strange=self.strange,
-            faults={fault: len(took_s[fault]) for fault in ALL_FAULTS},
-            recovery_s={fault: max(took_s[fault]) for fault in ALL_FAULTS if took_s[fault]},
-            undisturbed_s=float(np.median(took_s[""])) if took_s[""] else None,
-        )
+        doubled = delivered - len(set(self.stamps_s)) + max(0, made - forgotten - delivered)
+        return {
+            "asked": asked,
+            "delivered": delivered,
+            "wrong": {"lost": self.lost, "doubled": doubled, "of another nest": self.strange},
+            "longest_s": max((max(took_s[fault]) for fault in ALL_FAULTS if took_s[fault]), default=0.0),
+            "undisturbed_s": float(np.median(took_s[""])) if took_s[""] else None,
+        }
 
 
-def _sampled_faults(measurements: int, every: int, seed: int, faults: Sequence[str]) -> dict[int, str]:
-    """One fault in each group of ``every`` measurements: number of the measurement -> fault, each about equally often.
-
-    Over a serial cable there is no second client, so ``faults`` lacks that one.
-    """
+def _sampled_faults(measurements: int, every: int, seed: int) -> dict[int, str]:
+    """One fault in each group of ``every`` measurements, by its number; each about equally often."""
     rng = np.random.default_rng([seed, 0xB41D])
-    drawn = rng.permutation(np.resize(np.array(faults), measurements // every))
+    drawn = rng.permutation(np.resize(np.array(ALL_FAULTS), measurements // every))
     return {group * every + int(rng.integers(every)): str(fault) for group, fault in enumerate(drawn)}
 
 
@@ -179,12 +130,26 @@ def _second_client(url: str) -> None:
 
 def _nests(profile: Profile) -> dict[str, np.ndarray]:
     """Three nests in the tracker's field, nearer to it than the arms."""
-    low, high = profile.tracker.azimuth
-    middle = 0.5 * (low + high)
+    middle = float(np.mean(profile.tracker.azimuth))
     elevation = float(np.mean(profile.tracker.elevation))
     distance = max(1.2 * profile.tracker.distance[0], 1.0)
-    nests = {}
-    for name, azimuth in (("a", middle - 0.3), ("b", middle), ("c", middle + 0.3)):
-        level = distance * np.cos(elevation)
-        nests[name] = np.array([level * np.cos(azimuth), level * np.sin(azimuth), distance * np.sin(elevation)])
-    return nests
+    level = distance * np.cos(elevation)
+    return {
+        name: np.array([level * np.cos(azimuth), level * np.sin(azimuth), distance * np.sin(elevation)])
+        for name, azimuth in (("a", middle - 0.3), ("b", middle), ("c", middle + 0.3))
+    }
+
+
+def summary(results: list[dict[str, Any]], asked: argparse.Namespace) -> Evidence:
+    result = results[0]
+    delivered, undisturbed_s = f"{result['delivered']} of {result['asked']}", result["undisturbed_s"]
+    said = "" if undisturbed_s is None else f"Median without a fault: {1e3 * undisturbed_s:.0f} ms; "
+    return Evidence(
+        {"delivered": delivered},
+        (),
+        [Limit(what, count, 0) for what, count in result["wrong"].items()],
+        [
+            f"{delivered} measurements delivered, beside {len(ALL_FAULTS)} kinds of faults."
+            f" {said}longest time of a measurement: {result['longest_s']:.2f} s."
+        ],
+    )

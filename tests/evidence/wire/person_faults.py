@@ -107,9 +107,9 @@ def watched_escapes(bench: PressBench, n: int) -> list[float]:
     other = PseudoTerminal([sys.executable, "-m", "cellapp"], bench.folder, COLUMNS, ROWS)
     found = []
     try:
-        other.until(lambda text: "Open the run of the job that runs now?" in text, "the offer to open it", _WITHIN_S)
+        other.until(lambda text: "a goes on with the last run" in text, "the line of the last run", _WITHIN_S)
         other.quiet(0.3)
-        other.send("o")
+        other.send("a")
         other.until(lambda text: "WATCHED" in text, "the badge", _WITHIN_S)
         other.quiet(0.3)
         for _ in range(n):

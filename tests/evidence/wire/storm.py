@@ -1,32 +1,33 @@
-"""A storm of faults on the wire: the real collecting program, emulated devices, and a person who repairs and resumes.
-
-Nothing here needs hardware. Controllers and tracker are emulated in a process of their own; ``cellapp collect`` runs as
-a separate program, is killed and interrupted, and is resumed until every stop is measured or listed.
-"""
+"""The real program collects over the wire from an emulated cell in a storm of faults of all kinds, and is killed at
+random moments; a person repairs and resumes. Afterwards every reading is compared with an undisturbed run's."""
 
 from __future__ import annotations
 
+import argparse
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.planning.planned_stops import PlannedStops, read_planned_stops, write_planned_stops
-from cellapp.cell.run import Outcome, RunFile
+from cellapp.cell.profile import load_profile
+from cellapp.cell.run import RunFile
 from cellapp.cell.run.measured_again import missing_readings
 from cellapp.commands.plan.run import new_planned_run
-from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import UNATTENDED, JobToken
-from cellapp.ground.results import Record, Result
+from tests.evidence.skeleton import ROOT, Evidence, Limit, Table
 from tests.evidence.wire.storm_cell import emulated_cell, undisturbed_profile, wire_profile
 from tests.evidence.wire.storm_faults import KILL, sampled_events
 from tests.evidence.wire.storm_operator import Operator, StormLog, stored
+from tests.sure import sure
 
+TITLE = "Storm on the wire"
+ALONE = True
 PACE = 50.0
 """Seconds of the cell for each second: the driver's own waits and the wire's cycles then take most of the time."""
 _LARGEST_SIGMAS = 6.0
@@ -34,117 +35,34 @@ _LARGEST_SIGMAS = 6.0
 SAME_RAD = 1e-6
 
 
-class StormDeviation(Record):
-    """Deviation of an arm's readings from those of the undisturbed run: joints, points, and points over their noise."""
-
-    n: int
-    joints_max_rad: float
-    position_rms_mm: float
-    position_max_mm: float
-    max_sigmas: float
+def options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--stops", type=int, default=400)
+    parser.add_argument("--faults", type=int, default=200)
+    parser.add_argument("--kills", type=int, default=50)
+    parser.add_argument("--seed", type=int, default=1)
 
 
-class StormResult(Result, schema="cellapp-trials-storm"):
-    """the program storm: what became of the planned stops, and what did not happen as specified (``complaints``).
-
-    Attributes
-    ----------
-    stops, readings : int
-        Planned stops, and stored readings.
-    missing : tuple of Outcome
-        Planned readings that the run lacks, each with its reason.
-    lost, doubled : int
-        Readings that were seen as stored and are gone or changed; readings stored twice or from one measurement.
-    sessions, faults, kills : int
-        Starts of the program; faults caused, and SIGKILLs of the program.
-    by_fault, exit_codes : mapping
-        How often each was caused, and how the sessions ended.
-    motions_after_a_stop : int
-        Motions that began after a stop, before the person resumed.
-    latest_start_ms : float
-        Longest time from the first stop that a controller received to the start of a motion of another arm that had
-        been commanded before; that arm was braked too.
-    clearance_mm : float or None
-        Smallest distance between the arms.
-    deviation : mapping
-        Arm -> deviation from the undisturbed run.
-    seconds : float
-        Duration of the storm.
-    """
-
-    stops: int
-    readings: int
-    missing: tuple[Outcome, ...]
-    lost: int
-    doubled: int
-    sessions: int
-    faults: int
-    kills: int
-    by_fault: Mapping[str, int]
-    exit_codes: Mapping[str, int]
-    motions_after_a_stop: int
-    latest_start_ms: float
-    clearance_mm: float | None
-    deviation: Mapping[str, StormDeviation]
-    seconds: float
-    complaints: tuple[str, ...]
+def cases(asked: argparse.Namespace) -> dict[str, dict[str, Any]]:
+    return {"storm": {key: getattr(asked, key) for key in ("stops", "faults", "kills", "seed")}}
 
 
-def storm_trial(
-    profile: Profile,
-    stops: int = 400,
-    faults: int = 200,
-    kills: int = 50,
-    seed: int = 0,
-    pace: float = PACE,
-    keep: Path | None = None,
-    job: JobToken = UNATTENDED,
-) -> StormResult:
-    """Collect ``stops`` stops over the wire while ``faults`` faults of all kinds and ``kills`` SIGKILLs happen.
-
-    ``keep`` is a new folder for the run, the undisturbed one, and what the programs printed; None: they are removed.
-
-    Raises
-    ------
-    InputError
-        If the profile's devices cannot be emulated on this computer, or ``keep`` exists.
-    HardwareError
-        If the emulated cell does not start, or cannot be repaired.
-    Cancelled
-    """
-    if stops < 2:
-        raise InputError("storm: at least 2 stops are needed")
-    profile = wire_profile(profile, stops)
-    random = np.random.default_rng(seed)
-    events = sampled_events(stops, faults, kills, tuple(profile.arms), random)
-    with _folder(keep) as parent:
-        folder = parent / "run"
-        with new_planned_run(profile, folder, job) as run:
-            plan = read_planned_stops(run)
-        job.tell("undisturbed run", 0, 1)
-        quiet = undisturbed(profile, plan, parent / "undisturbed")
-        job.tell("undisturbed run", 1, 1)
+def one(case: dict[str, Any]) -> dict[str, Any]:
+    """Collect over the wire while faults of all kinds and SIGKILLs of the program happen; the judgement of the run."""
+    stops = case["stops"]
+    profile = wire_profile(load_profile(ROOT / "profiles" / "twin-rtde.yaml"), stops)
+    random = np.random.default_rng(case["seed"])
+    events = sampled_events(stops, case["faults"], case["kills"], tuple(profile.arms), random)
+    with tempfile.TemporaryDirectory(prefix="cellapp-storm-") as name:
+        folder = Path(name) / "run"
+        with new_planned_run(profile, folder) as run:
+            quiet = undisturbed(profile, read_planned_stops(run), folder.with_name("undisturbed"))
         began_s = time.monotonic()
-        with (parent / "output.txt").open("wb") as output, emulated_cell(profile, pace) as cell:
-            log = Operator(cell, folder, events, stops, output, job).work()
+        with folder.with_name("output.txt").open("wb") as output, emulated_cell(profile, PACE) as cell:
+            log = Operator(cell, folder, events, output).work()
             clearance_m = cell.clearance_m()
-        took_s = time.monotonic() - began_s
-        job.tell("storm", stops, stops, "done")
+        minutes = (time.monotonic() - began_s) / 60.0
         with RunFile.open(folder) as run, RunFile.open(quiet) as reference:
-            return _judged(run, reference, log, len(events), clearance_m, took_s)
-
-
-@contextmanager
-def _folder(keep: Path | None) -> Iterator[Path]:
-    if keep is None:
-        with tempfile.TemporaryDirectory(prefix="cellapp-storm-") as folder:
-            yield Path(folder)
-        return
-    try:
-        keep.mkdir(parents=True)
-    except OSError as error:
-        raise InputError(f"{keep}: cannot be made ({error.strerror}); give the path of a new folder") from error
-    yield keep.absolute()
+            return {"minutes": minutes, **_judged(run, reference, log, len(events), clearance_m)}
 
 
 def undisturbed(profile: Profile, plan: PlannedStops, folder: Path) -> Path:
@@ -158,9 +76,7 @@ def undisturbed(profile: Profile, plan: PlannedStops, folder: Path) -> Path:
     return folder
 
 
-def _judged(
-    run: RunFile, reference: RunFile, log: StormLog, drawn: int, clearance_m: float | None, took_s: float
-) -> StormResult:
+def _judged(run: RunFile, reference: RunFile, log: StormLog, drawn: int, clearance_m: float | None) -> dict[str, Any]:
     """Compare the run with its plan, with what the person saw, and with the undisturbed run."""
     complaints = list(log.complaints)
     found = stored(run.folder)
@@ -178,49 +94,55 @@ def _judged(
         complaints.append(f"{lost} readings were lost, {doubled} doubled")
     if clearance_m is None or clearance_m <= 0.0:
         complaints.append("the arms touched, or their distance was not observed")
-    if sum(log.struck.values()) < drawn:
-        complaints.append(f"only {sum(log.struck.values())} of {drawn} faults were caused before the run was complete")
+    if log.struck.total() < drawn:
+        complaints.append(f"only {log.struck.total()} of {drawn} faults were caused before the run was complete")
     for name, one in deviations.items():
         if one.max_sigmas > _LARGEST_SIGMAS or one.joints_max_rad > SAME_RAD:
             complaints.append(
-                f"arm {name}: a reading differs from the undisturbed run by {one.position_max_mm:.3f} mm,"
-                f" {one.max_sigmas:.1f} standard deviations, {one.joints_max_rad:.1e} rad"
+                f"arm {name}: a reading differs from the undisturbed run by {one.words()}, {one.joints_max_rad:.1e} rad"
             )
-    return StormResult(
-        stops=len(planned) // max(len(run.read_plan()), 1),
-        readings=len(found),
-        missing=missing,
-        lost=lost,
-        doubled=doubled,
-        sessions=log.sessions,
-        faults=sum(count for kind, count in log.struck.items() if kind != KILL),
-        kills=log.struck[KILL],
-        by_fault=dict(sorted(log.struck.items())),
-        exit_codes={str(code): count for code, count in sorted(log.exit_codes.items())},
-        motions_after_a_stop=log.motions_after_a_stop,
-        latest_start_ms=1e3 * log.latest_start_s,
-        clearance_mm=None if clearance_m is None else 1e3 * clearance_m,
-        deviation=deviations,
-        seconds=took_s,
-        complaints=tuple(complaints),
-    )
+    kills, stops = log.struck[KILL], len(planned) // max(len(run.read_plan()), 1)
+    rows = {
+        "planned stops": f"{stops}",
+        "readings stored; missing, with their reason": f"{len(found)}; {len(missing)}",
+        "sessions; faults; kills": f"{log.sessions}; {log.struck.total() - kills}; {kills}",
+        "longest from a stop to a motion of another arm, braked too": f"{1e3 * log.latest_start_s:.0f} ms",
+        "smallest distance between the arms": "" if clearance_m is None else f"{1e3 * clearance_m:.0f} mm",
+        **{f"arm {name}: largest deviation from the undisturbed run": its.words() for name, its in deviations.items()},
+    }
+    wrong = {"readings lost": lost, "readings doubled": doubled, "motions after a stop": log.motions_after_a_stop}
+    return {"readings": len(found), "rows": rows, "wrong": wrong, "complaints": complaints}
 
 
-def deviation(run: RunFile, reference: RunFile, name: str) -> StormDeviation:
+@dataclass(frozen=True)
+class Deviation:
+    """Largest deviation of an arm's readings from an undisturbed run's: of joints, of points, over their noise."""
+
+    joints_max_rad: float
+    position_max_mm: float
+    max_sigmas: float
+
+    def words(self) -> str:
+        return f"{self.position_max_mm:.3f} mm ({self.max_sigmas:.1f} standard deviations)"
+
+
+def deviation(run: RunFile, reference: RunFile, name: str) -> Deviation:
     """Compare the readings of an arm at the stops that both runs have."""
     ours, theirs = run.readings(name), reference.readings(name)
-    common, i, k = np.intersect1d(ours.configuration, theirs.configuration, return_indices=True)
+    _, i, k = np.intersect1d(ours.configuration, theirs.configuration, return_indices=True)
     off = ours.p_M[i] - theirs.p_M[k]
-    joints = np.abs(ours.q[i] - theirs.q[k])
-    sigmas = np.zeros(len(common))
-    if ours.covariance_M is not None and theirs.covariance_M is not None:
-        spread = np.linalg.inv(ours.covariance_M[i] + theirs.covariance_M[k])
-        sigmas = np.sqrt(np.einsum("ni,nij,nj->n", off, spread, off))
-    distance_mm = 1e3 * np.linalg.norm(off, axis=1)
-    return StormDeviation(
-        n=len(common),
-        joints_max_rad=float(joints.max(initial=0.0)),
-        position_rms_mm=float(np.sqrt(np.mean(distance_mm**2))) if len(common) else 0.0,
-        position_max_mm=float(distance_mm.max(initial=0.0)),
-        max_sigmas=float(sigmas.max(initial=0.0)),
+    spread = np.linalg.inv(sure(ours.covariance_M)[i] + sure(theirs.covariance_M)[k])
+    return Deviation(
+        joints_max_rad=float(np.abs(ours.q[i] - theirs.q[k]).max(initial=0.0)),
+        position_max_mm=float(1e3 * np.linalg.norm(off, axis=1).max(initial=0.0)),
+        max_sigmas=float(np.sqrt(np.einsum("ni,nij,nj->n", off, spread, off)).max(initial=0.0)),
     )
+
+
+def summary(results: list[dict[str, Any]], asked: argparse.Namespace) -> Evidence:
+    result = results[0]
+    rows: Mapping[str, str] = {**result["rows"], "duration": f"{result['minutes']:.0f} min"}
+    limits = [Limit(what, count, 0) for what, count in result["wrong"].items()]
+    limits.append(Limit("complaints", len(result["complaints"]), 0))
+    table = Table("", ["what", "value"], [[what, value] for what, value in rows.items()])
+    return Evidence({"readings": str(result["readings"])}, [table], limits, result["complaints"])

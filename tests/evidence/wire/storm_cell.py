@@ -28,6 +28,8 @@ from drivers.trackers import bridge_wire as wire
 from drivers.trackers.bridge_settings import BridgeSettings
 from drivers.trackers.simulated_settings import SimulatedTrackerSettings
 from tests.evidence.wire.polling import can_move, comes_about
+from tests.sure import sure
+from tests.twin import altered
 
 _PATIENT_S = 60.0
 _POLL_S = 0.01
@@ -55,30 +57,27 @@ def wire_profile(profile: Profile, stops: int) -> Profile:
     for name, arm in profile.arms.items():
         if not isinstance(arm.driver, UrSettings) or arm.driver.moves_hardware:
             raise InputError(f"arms.{name}.driver: a storm needs kind 'ur' at a loopback address, as 127.0.0.2")
-        arms[name] = arm.model_copy(update={"driver": arm.driver.model_copy(update={"settle_time": _SETTLE_S})})
+        arms[name] = altered(arm, driver={"settle_time": _SETTLE_S})
     driver = profile.tracker.driver
     if not isinstance(driver, BridgeSettings) or driver.emulated_bridge() is None:
         raise InputError("tracker.driver: a storm needs kind 'bridge' at a loopback address")
     collection = Collection(slow_start=SlowStart(stops=0), suspend=Suspend(target=_QUICK, tracker_warm_up=_QUICK))
-    tracker = profile.tracker.model_copy(update={"driver": driver.model_copy(update={"timeout": _BRIDGE_SILENCE_S})})
     few = {"identify": 1, "train": 0, "validate_": 1, "pair_identify": 1, "pair_validate": 1}
-    return profile.model_copy(
-        update={
-            "arms": arms,
-            "tracker": tracker,
-            "plan": profile.plan.model_copy(update={"stops": stops, "reserve": 0}),
-            "plant": profile.plant.model_copy(update={"effects": {}, "repeatability": 0.0}),
-            "splits": profile.splits.model_copy(update=few),
-            "collection": collection,
-        }
+    return altered(
+        profile,
+        arms=arms,
+        tracker={"driver": {"timeout": _BRIDGE_SILENCE_S}},
+        plan={"stops": stops, "reserve": 0},
+        plant={"effects": {}, "repeatability": 0.0},
+        splits=few,
+        collection=collection,
     )
 
 
 def undisturbed_profile(profile: Profile) -> Profile:
     """Return the same cell with simulated drivers."""
     arms = {name: arm.model_copy(update={"driver": SimulatedArmSettings()}) for name, arm in profile.arms.items()}
-    tracker = profile.tracker.model_copy(update={"driver": SimulatedTrackerSettings()})
-    return profile.model_copy(update={"arms": arms, "tracker": tracker})
+    return altered(profile, arms=arms, tracker={"driver": SimulatedTrackerSettings()})
 
 
 @dataclass(frozen=True)
@@ -155,8 +154,7 @@ def emulated_cell(profile: Profile, pace: float, *, watch_clearance: bool = True
             raise HardwareError(f"the emulated cell does not start: {answer}")
         control = Control(("127.0.0.1", answer[0]))
         try:
-            assert process.pid is not None
-            yield StormCell(tuple(profile.arms), control, answer[1], process.pid)
+            yield StormCell(tuple(profile.arms), control, answer[1], sure(process.pid))
         finally:
             control.close()
     finally:

@@ -18,7 +18,6 @@ from typing import IO, Any
 import cellapp
 from cellapp.cell.run import RunFile
 from cellapp.ground.errors import HardwareError, InputError
-from cellapp.ground.progress import JobToken
 from tests.evidence.wire.storm_cell import StormCell
 from tests.evidence.wire.storm_faults import FAULTS, LONGEST_DELAY_S, Event, Target
 
@@ -79,12 +78,8 @@ def stored(folder: Path) -> Stored:
 class Operator:
     """One person at the cell; ``output`` receives what the programs print."""
 
-    def __init__(
-        self, cell: StormCell, folder: Path, events: Sequence[Event], stops: int, output: IO[bytes], job: JobToken
-    ) -> None:
-        self._cell, self._folder, self._events, self._stops = cell, folder, list(events), stops
-        self._output, self._job = output, job
-        self._total = len(events)
+    def __init__(self, cell: StormCell, folder: Path, events: Sequence[Event], output: IO[bytes]) -> None:
+        self._cell, self._folder, self._events, self._output = cell, folder, list(events), output
         self.log = StormLog()
 
     def work(self) -> StormLog:
@@ -94,19 +89,17 @@ class Operator:
         ------
         HardwareError
             If the cell cannot be repaired, or sessions fail again and again without a fault.
-        Cancelled
         """
         failures = 0
         while True:
-            self._job.check()
-            struck = sum(self.log.struck.values())
+            struck = self.log.struck.total()
             code = self._session()
             self.log.exit_codes[code] += 1
             if code in _DONE:
                 return self.log
             if code not in _UNFINISHED:
                 self.log.complaints.append(f"session {self.log.sessions} ended with the unexpected exit code {code}")
-            failures = failures + 1 if sum(self.log.struck.values()) == struck else 0
+            failures = failures + 1 if self.log.struck.total() == struck else 0
             if failures >= _MOST_FAILURES:
                 raise HardwareError(f"{failures} sessions in a row ended with exit code {code} without any fault")
 
@@ -141,7 +134,6 @@ class Operator:
         working = False
         read_s = 0.0
         while program.poll() is None:
-            self._job.check()
             now_s = time.monotonic()
             if now_s - read_s > _READ_EVERY_S:
                 read_s = now_s
@@ -190,9 +182,6 @@ class Operator:
                 self.log.complaints.append(f"stored readings are gone or have changed: {lost[:3]}")
             more = len(found) > len(self.log.seen)
             self.log.seen |= found
-            done, struck = self._finished(), sum(self.log.struck.values())
-            note = f"session {self.log.sessions}, {struck} of {self._total} faults"
-            self._job.tell("storm", min(done, self._stops - 1), self._stops, note)
             return more
         return False
 

@@ -10,7 +10,6 @@ import re
 import shlex
 import shutil
 import signal
-import sqlite3
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -25,8 +24,10 @@ from cellapp.cell.planning.planned_stops import straight_stops, write_planned_st
 from cellapp.cell.run import RunFile
 from drivers.findings import Finding
 from tests.approved import assert_approved, commands_of, without_digits
+from tests.cell.run.small_runs import alter_file
 from tests.interfaces.cli.conftest import Ended, exit_code, one_sentence
 from tests.loopback import own_address
+from tests.sure import sure
 from tests.twin import PROFILES, write_profile
 from tests.waiting import WAIT_S, until, within
 
@@ -249,13 +250,6 @@ def test_an_import_in_order_says_what_it_derived(work: Path, call: Any) -> None:
 # -- bad input --------------------------------------------------------------------------------------------------------
 
 
-def spoil_run(run: Path, statement: str) -> None:
-    connection = sqlite3.connect(run / "run.sqlite")
-    connection.execute(statement)
-    connection.commit()
-    connection.close()
-
-
 def edit(path: Path, old: str, new: str) -> None:
     text = path.read_text("utf-8")
     assert old in text
@@ -272,15 +266,15 @@ def truncated(work: Path) -> None:
 
 
 def newer(work: Path) -> None:
-    spoil_run(work / "collected", "PRAGMA user_version=99")
+    alter_file(work / "collected", "PRAGMA user_version=99")
 
 
 def damaged_basis(work: Path) -> None:
-    spoil_run(work / "done", "UPDATE stage SET basis = 'x' WHERE name = 'discover'")
+    alter_file(work / "done", "UPDATE stage SET basis = 'x' WHERE name = 'discover'")
 
 
 def damaged_model(work: Path) -> None:
-    spoil_run(work / "done", "UPDATE stage SET model = '[1]' WHERE name = 'calibrate'")
+    alter_file(work / "done", "UPDATE stage SET model = '[1]' WHERE name = 'calibrate'")
 
 
 def other_splits(work: Path) -> None:
@@ -519,12 +513,11 @@ def test_killed_in_the_middle_it_is_resumed(long_run: Path, call: Any) -> None:
 
 def test_requests_from_another_process_reach_the_job_and_its_log(long_run: Path, call: Any) -> None:
     with started("collect", long_run.name, cwd=long_run.parent) as process:
-        assert process.stderr is not None
-        assert "takes about" in within(process.stderr.readline, "the time")
+        assert "takes about" in within(sure(process.stderr).readline, "the time")
         wait_for_stops(long_run, process)
         paused = shell("job", "pause", long_run.name, cwd=long_run.parent)
         assert (paused.code, paused.out[:6]) == (0, "pause:"), paused.err
-        assert "collect: paused" in within(process.stderr.readline, "the pause")
+        assert "collect: paused" in within(sure(process.stderr).readline, "the pause")
         one_sentence(call("collect", long_run.name, "--resume"), "another job runs here")
         one_sentence(call("job", "pause", long_run.name), "paused already")
         step = "next: collect is paused: 'cellapp job resume planned' continues"
@@ -584,8 +577,7 @@ def test_interrupted_before_the_command_begins_it_exits_with_four(
 def test_what_serves_does_so_until_it_is_interrupted(tmp_path: Path, command: list[str], begins: str) -> None:
     write_profile(tmp_path)
     with started(*command, cwd=tmp_path) as process:
-        assert process.stdout is not None
-        first = within(process.stdout.readline, "the first line")
+        first = within(sure(process.stdout).readline, "the first line")
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=WAIT_S)
     if process.returncode == 3 and "in use" in err:

@@ -25,6 +25,7 @@ from cellapp.interfaces.cli.command_outputs import written_by
 from tests.cell.run.small_runs import two_arms
 from tests.interfaces.cli.conftest import exit_code
 from tests.program import app
+from tests.sure import sure
 from tests.twin import write_profile
 
 ROOT = Path(__file__).parents[3]
@@ -62,13 +63,10 @@ class Command(NamedTuple):
 def commands(group: typer.Typer = app, words: tuple[str, ...] = ()) -> Iterator[Command]:
     """Every command that there is."""
     for one in group.registered_commands:
-        assert one.callback is not None
-        function = inspect.unwrap(one.callback)
+        function = inspect.unwrap(sure(one.callback))
         yield Command((*words, one.name or function.__name__.replace("_", "-")), function)
     for below in group.registered_groups:
-        assert below.typer_instance is not None
-        assert below.name is not None
-        yield from commands(below.typer_instance, (*words, below.name))
+        yield from commands(sure(below.typer_instance), (*words, sure(below.name)))
 
 
 ALL = tuple(commands())

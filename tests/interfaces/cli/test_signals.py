@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from tests.latency import attempts
+from tests.sure import sure
 from tests.waiting import WAIT_S, within
 
 ROOT = Path(__file__).parents[3]
@@ -46,8 +47,7 @@ def busy(load: str) -> Iterator[subprocess.Popen[str]]:
 
 
 def next_line(process: subprocess.Popen[str]) -> str:
-    assert process.stdout is not None
-    return within(process.stdout.readline, "the next line of the job").strip()
+    return within(sure(process.stdout).readline, "the next line of the job").strip()
 
 
 def brake_after(process: subprocess.Popen[str], number: int) -> tuple[str, float]:

@@ -16,7 +16,8 @@ from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.model.nominal import nominal_arm
 from drivers.no_driver import NoDriver
 from tests.arms import STATION, true_geometry
-from tests.twin import PROFILES, whole_twin
+from tests.sure import sure
+from tests.twin import PROFILES, altered, whole_twin
 
 LEFT = "<script>alert('left')"
 RIGHT = '右"><img src=x onerror=alert(2)> & $x_'
@@ -33,19 +34,17 @@ SIGMA_M = 20e-6
 def twin_of(left: str, right: str, name: str) -> Profile:
     """The simulated cell with other names and few stops."""
     twin = whole_twin()
-    assert twin.plant is not None
     names = dict(zip(twin.arms, (left, right)))
-    effects = {names[arm]: hidden for arm, hidden in twin.plant.effects.items()}
-    return twin.model_copy(
-        update={
-            "name": name,
-            "arms": {names[arm]: settings for arm, settings in twin.arms.items()},
-            "plan": twin.plan.model_copy(update={"stops": 60, "method": "random"}),
-            "splits": Splits(identify=30, train=10, validate=20, pair_identify=30, pair_validate=20),
-            "network": twin.network.model_copy(update={"iterations": 30}),
-            "discovery": DiscoverySettings(null_simulations=20, folds=2, false_alarm=0.05),
-            "plant": twin.plant.model_copy(update={"effects": effects}),
-        }
+    effects = {names[arm]: hidden for arm, hidden in sure(twin.plant).effects.items()}
+    return altered(
+        twin,
+        name=name,
+        arms={names[arm]: settings for arm, settings in twin.arms.items()},
+        plan={"stops": 60, "method": "random"},
+        splits=Splits(identify=30, train=10, validate=20, pair_identify=30, pair_validate=20),
+        network={"iterations": 30},
+        discovery=DiscoverySettings(null_simulations=20, folds=2, false_alarm=0.05),
+        plant={"effects": effects},
     )
 
 
@@ -54,17 +53,16 @@ def without_devices(*arms: str) -> Profile:
     twin = whole_twin()
     none = NoDriver()
     settings = [arm.model_copy(update={"driver": none}) for arm in twin.arms.values()]
-    return twin.model_copy(
-        update={
-            "name": NAME,
-            "arms": dict(zip(arms, settings)),
-            "tracker": twin.tracker.model_copy(update={"driver": none}),
-            "splits": Splits(identify=40, train=0, validate=20, pair_identify=40, pair_validate=20),
-            "network": twin.network.model_copy(update={"kind": "none"}),
-            "discovery": DiscoverySettings(null_simulations=20, folds=2, false_alarm=0.05),
-            "plant": None,
-            "targets": None,
-        }
+    return altered(
+        twin,
+        name=NAME,
+        arms=dict(zip(arms, settings)),
+        tracker={"driver": none},
+        splits=Splits(identify=40, train=0, validate=20, pair_identify=40, pair_validate=20),
+        network={"kind": "none"},
+        discovery=DiscoverySettings(null_simulations=20, folds=2, false_alarm=0.05),
+        plant=None,
+        targets=None,
     )
 
 

@@ -15,6 +15,7 @@ from tests.interfaces.page.cases import discovery
 from tests.interfaces.page.parsed_page import NOON
 from tests.interfaces.page.runs import LEFT, RIGHT, store_discovery
 from tests.interfaces.page.test_page_summary import certificate
+from tests.sure import sure
 from tests.verbs import certificate_run
 
 if TYPE_CHECKING:
@@ -143,8 +144,7 @@ def test_the_reader_chooses_light_or_dark(wide: Page) -> None:
 def test_tables_are_copied_and_saved_with_exact_numbers(wide: Page, tmp_path: Path) -> None:
     frame = wide.locator("#accuracy .table").first
     shown = frame.locator("tbody tr").first.locator("td").first
-    exact = shown.get_attribute("data-value")
-    assert exact is not None
+    exact = sure(shown.get_attribute("data-value"))
     assert float(exact) == pytest.approx(float(shown.inner_text()), abs=1e-4)
     frame.get_by_role("button", name="Copy").click()
     frame.get_by_role("button", name="Copy").get_by_text("Done").wait_for(timeout=LONGEST_MS)
@@ -190,8 +190,7 @@ def test_a_certificate_prints_on_two_sheets_and_fits_a_telephone(browser: Browse
     page = browser.new_page(viewport={"width": 390, "height": 800}, java_script_enabled=False)
     page.goto(path.as_uri())
     assert page.locator(".certificate h2").inner_text() == "Calibration certificate"
-    box = page.locator(".certificate").bounding_box()
-    assert box is not None
+    box = sure(page.locator(".certificate").bounding_box())
     assert box["x"] + box["width"] <= 390
     page.pdf(path=tmp_path / "certificate.pdf", prefer_css_page_size=True)
     page.close()

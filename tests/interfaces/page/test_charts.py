@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from pydantic import TypeAdapter
 
 from cellapp.cell.run import RunFile
 from cellapp.commands.calibrate.charts import scale_length_mm, vector_chart
@@ -22,13 +20,12 @@ from cellapp.commands.plan.result import PlannedStop
 from cellapp.commands.report.data import ReportData, read_report_data
 from cellapp.commands.view.charts import Axis, Chart, Kind, Limit, Series, series
 from cellapp.estimation.discovery.records import Picture
-from cellapp.ground.profile import Profile
-from cellapp.ground.profile.sections import AnyObstacle
 from cellapp.ground.progress import StopReport
 from cellapp.interfaces.page.figures import chart_svg
 from cellapp.interfaces.render.chart import scale_of
 from tests.interfaces.page.cases import picture
-from tests.twin import whole_twin
+from tests.sure import sure
+from tests.twin import with_obstacles
 
 # -- collection -------------------------------------------------------------------------------------------------------
 
@@ -53,12 +50,7 @@ def held_out(data: ReportData) -> HeldOutArm:
     return data.held_out["only"]
 
 
-READ: TypeAdapter[dict[str, AnyObstacle]] = TypeAdapter(dict[str, AnyObstacle])
 HOME = np.radians([0.0, -90.0, 0.0, -90.0, 0.0, 0.0])
-
-
-def with_obstacles(**obstacles: dict[str, Any]) -> Profile:
-    return whole_twin().model_copy(update={"obstacles": READ.validate_python(obstacles)})
 
 
 def stops(count: int = 3) -> list[PlannedStop]:
@@ -76,19 +68,19 @@ def named(chart: Chart, name: str) -> Series | None:
 def test_a_mesh_is_drawn_as_its_hull_and_a_missing_one_is_left_out(tmp_path: Path) -> None:
     trimesh = pytest.importorskip("trimesh")
     trimesh.creation.box((1000.0, 2000.0, 3000.0)).export(tmp_path / "box.stl")
-    mesh = {"shape": "mesh", "file": str(tmp_path / "box.stl"), "scale": 0.001}
-    points = surface_points(READ.validate_python({"guard": mesh})["guard"])
-    assert np.allclose(np.ptp(points, axis=0), (1.0, 2.0, 3.0))
-    missing = with_obstacles(guard={**mesh, "file": "nowhere.stl"})
+    mesh, missing = (
+        with_obstacles(f"guard: {{shape: mesh, file: {file}, scale: 0.001}}")
+        for file in (tmp_path / "box.stl", "nowhere.stl")
+    )
+    assert np.allclose(np.ptp(surface_points(mesh.obstacles["guard"]), axis=0), (1.0, 2.0, 3.0))
     assert named(cell_map_chart(missing, stops()), "obstacles") is None
 
 
 def test_what_is_mounted_on_a_flange_is_drawn_where_the_arm_stands_at_home() -> None:
-    knob = {"shape": "sphere", "radius": 0.05, "fixed_to": "flange", "arm": "left"}
-    profile = with_obstacles(knob=knob, foot={**knob, "fixed_to": "base"})
+    ball = "{shape: sphere, radius: 0.05, arm: left, fixed_to: "
+    profile = with_obstacles(f"knob: {ball}flange}}\nfoot: {ball}base}}")
     found = {name: p_C.mean(axis=0) for name, p_C in outlined_obstacles(profile).items()}
-    base = profile.arms["left"].base
-    assert base is not None
+    base = sure(profile.arms["left"].base)
     assert np.allclose(found["foot"], base.position, atol=0.01)
     assert 0.3 < np.linalg.norm(found["knob"] - found["foot"]) < 2.0
 

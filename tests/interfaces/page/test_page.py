@@ -9,7 +9,6 @@ import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -45,17 +44,13 @@ from tests.interfaces.page.runs import (
     store_discovery,
 )
 from tests.interfaces.page.test_views import COMPENSATED, VERIFIED, checked
+from tests.sure import sure
+from tests.twin import altered
 
 
 def calibration_of(run: RunFile) -> CalibrateResult:
-    result = read_results(run).calibrate
-    assert result is not None
+    result = sure(read_results(run).calibrate)
     return result
-
-
-def with_arm(result: CalibrateResult, name: str, **changes: Any) -> CalibrateResult:
-    """The result with attributes of one arm replaced."""
-    return result.model_copy(update={"arms": {**result.arms, name: result.arms[name].model_copy(update=changes)}})
 
 
 APPROVED = Path(__file__).parent / "approved"
@@ -71,8 +66,7 @@ def as_made(run: RunFile) -> None:
 def everything(run: RunFile) -> None:
     """Every result that a run can have."""
     store_discovery(run, discovery(*run.profile.arms))
-    in_force = read_stages(run).in_force
-    assert in_force is not None
+    in_force = sure(read_stages(run).in_force)
     basis = basis_on_model(run, in_force)
     for name, result in ((COMPENSATE, COMPENSATED), (VERIFY, VERIFIED), (CHECK, checked()), (ISO9283, pose_test())):
         append_stage(run, name, result, basis)
@@ -92,7 +86,7 @@ def pushed_but_not_measured(run: RunFile) -> None:
 
 
 def without_uncertainty(run: RunFile) -> None:
-    store_calibration(run, with_arm(calibration_of(run), "only", tracker_mm=None))
+    store_calibration(run, altered(calibration_of(run), arms={"only": {"tracker_mm": None}}))
 
 
 def found_again(run: RunFile) -> None:

@@ -70,6 +70,7 @@ from tests.approved import assert_approved, text_of, without_digits
 from tests.interfaces.page.cases import ERRORS, discovery, unknown_effect
 from tests.interfaces.page.plan_cases import plan_design
 from tests.robot.effects.cell import context_of
+from tests.sure import sure
 from tests.twin import small_twin
 from tests.verbs import collect_stops, plan_new_run
 
@@ -258,8 +259,7 @@ def targets() -> Parts:
 
 def test_the_parts_add_up_to_the_uncertainty(whole: RunFile) -> None:
     results = read_results(whole)
-    assert results.compensate is not None
-    for target in results.compensate.targets:
+    for target in sure(results.compensate).targets:
         if target.parts is not None and target.uncertainty_mm is not None:
             parts = [getattr(target.parts, part) for part in PART_WORDS]
             assert math.isclose(math.hypot(*parts), target.uncertainty_mm, rel_tol=1e-9)
@@ -347,11 +347,9 @@ def test_a_collection_with_gaps_pauses_and_drift_is_shown(tmp_path: Path) -> Non
 
 def test_a_plan_is_shown_with_its_design_which_stays_with_it(tmp_path: Path) -> None:
     with new_planned_run(small_twin(12, plan={"method": "random"}), tmp_path / "run") as run:
-        plain = plan_section(run)
+        plain = sure(plan_section(run))
         write_planned_stops(run, read_planned_stops(run), design=plan_design(12))
-        designed = plan_section(run)
-        assert plain is not None
-        assert designed is not None
+        designed = sure(plan_section(run))
         assert_approved(APPROVED / "plans.txt", text_of([plain, designed]), without_digits)
         assert planned_stops(run).design == plan_design(12)
         write_planned_stops(run, read_planned_stops(run))

@@ -28,7 +28,7 @@ from drivers.arms.registry import ARMS
 from drivers.arms.settings import ArmSettings
 from tests.interfaces.plugins.installed import EXAMPLE, REPOSITORY, add_example, installed, run_commands
 from tests.interfaces.plugins.line_controller import LineController, line_controllers
-from tests.twin import PROFILES
+from tests.twin import PROFILES, altered
 from tests.waiting import WAIT_S
 
 HOME = np.array([0.0, -math.pi / 2.0, 0.0, -math.pi / 2.0, 0.0, 0.0])
@@ -52,8 +52,7 @@ def settings(tmp_path: Path, controller: LineController) -> Iterator[ArmSettings
 def profile(settings: ArmSettings) -> Profile:
     """The simulated cell whose left arm has that driver."""
     twin = load_profile(PROFILES / "twin.yaml")
-    left = twin.arms["left"].model_copy(update={"driver": settings})
-    return twin.model_copy(update={"arms": {**twin.arms, "left": left}})
+    return altered(twin, arms={"left": {"driver": settings}})
 
 
 @pytest.fixture

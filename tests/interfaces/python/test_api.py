@@ -20,6 +20,7 @@ from cellapp.ground.errors import InputError
 from cellapp.interfaces.python.api import Run, open_run
 from cellapp.robot.kinematics.chain import parameter_names
 from tests.approved import assert_approved
+from tests.sure import sure
 from tests.twin import small_twin
 
 
@@ -29,11 +30,10 @@ def run(finished_run: Path) -> Run:
 
 
 def test_residuals_are_as_small_as_the_report_says(run: Run) -> None:
-    assert run.results.calibrate is not None
     for arm in run.measured:
         held_out = run.readings(arm).in_split("validate")
         mean_mm = np.linalg.norm(run.residuals(arm)[held_out], axis=1).mean() * 1e3
-        stated = run.results.calibrate.arms[arm].validate_["effects"].position_mm.mean
+        stated = sure(run.results.calibrate).arms[arm].validate_["effects"].position_mm.mean
         assert mean_mm == pytest.approx(stated, rel=1e-9)
 
 
@@ -62,9 +62,8 @@ def test_residuals_and_parameters_of_both_arms(run: Run) -> None:
 
 
 def test_targets_show_what_was_measured(run: Run) -> None:
-    assert run.results.verify is not None
     frame = dataframes.targets(run)
-    assert frame.target.tolist() == [target.name for target in run.results.verify.targets]
+    assert frame.target.tolist() == [target.name for target in sure(run.results.verify).targets]
     assert (frame.compensated_mm < frame.nominal_mm).all()
     assert frame.attrs["units"]["within_mm"] == "mm"
 

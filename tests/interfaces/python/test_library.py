@@ -22,6 +22,7 @@ from cellapp.cell.targets.targets import load_targets
 from cellapp.estimation.readings.columns import COLUMNS
 from cellapp.robot.effects import MeasurementConditions
 from tests.conftest import FEW_TARGETS
+from tests.sure import sure
 from tests.twin import PROFILES, finished_twin
 
 TARGETS = PROFILES / "targets" / "twin.yaml"
@@ -63,8 +64,7 @@ def without(result: Any, *keys: str) -> Any:
 
 
 def test_calibrate_gives_what_the_command_stored(fit: cellapp.Calibration, run: cellapp.Run) -> None:
-    assert run.results.calibrate is not None
-    stored = run.results.calibrate.without_effects()
+    stored = sure(run.results.calibrate).without_effects()
     assert without(fit.result, "written") == without(stored, "written")
     q = run.readings("left").q
     assert np.array_equal(fit.predict("left", q), run.calibration.predict("left", q))
@@ -80,10 +80,9 @@ def test_discover_gives_what_the_command_stored(fit: cellapp.Calibration, found:
 
 
 def test_compensate_gives_what_the_command_stored(found: cellapp.Discovery, run: cellapp.Run) -> None:
-    assert run.results.compensate is not None
     wanted = load_targets(TARGETS, run.profile)[:FEW_TARGETS]
     moves = found.compensate(wanted)
-    assert moves.result.targets == run.results.compensate.targets
+    assert moves.result.targets == sure(run.results.compensate).targets
     of_file = found.compensate(TARGETS)
     assert of_file.result.targets[: len(moves.result.targets)] == moves.result.targets
 

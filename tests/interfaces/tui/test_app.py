@@ -42,6 +42,7 @@ from tests.interfaces.tui.pilot import (
     tells,
     until,
 )
+from tests.sure import sure
 
 
 async def test_an_unforeseen_error_is_one_sentence_and_its_text_is_kept() -> None:
@@ -200,11 +201,10 @@ async def test_every_next_step_of_every_state_is_begun_by_n_or_says_what_to_do(
     states = [load_workspace(PROFILES / "twin.yaml", folder) for folder in (None, *sorted(Path("logs").iterdir()))]
     held = states[2]
     assert held.folder == RUN
-    assert held.overview is not None
     for words in NEXT:
         verb = "push" if words.startswith("Add") else words.split()[1] if words.startswith("cellapp") else ""
         verb = "" if "PATHS" in words else verb
-        overview = held.overview.model_copy(update={"next_verb": verb, "next_step": words})
+        overview = sure(held.overview).model_copy(update={"next_verb": verb, "next_step": words})
         states.append(replace(held, overview=overview))
     async with app.run_test(size=SMALL) as pilot:
         await opened(pilot, app)

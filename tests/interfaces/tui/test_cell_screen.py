@@ -58,7 +58,6 @@ def line(app: CellApp, name: str) -> str:
 
 
 async def test_failed_checks_come_first_and_are_read_in_full() -> None:
-    app = CellApp(PROFILES)
     long = "no answer; " + "see that the controller is switched on, " * 4
     found = DoctorResult(
         findings=(
@@ -68,8 +67,7 @@ async def test_failed_checks_come_first_and_are_read_in_full() -> None:
             Finding(subject="arm right: link", status="ok", text="CB3", device=UR),
         )
     )
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
+    async with running() as (pilot, app):
         cell_screen(app).show_result(found)
         app.draw_all()
         await pilot.pause()

@@ -41,7 +41,7 @@ from cellapp.interfaces.tui.widgets.chart_plot import ChartPlot
 from cellapp.interfaces.tui.widgets.collected_stops import CollectedStops
 from cellapp.interfaces.tui.workspace import Workspace
 from tests.cell.run.small_runs import add_stop, collected_run, planned_run
-from tests.interfaces.tui.pilot import PROFILES, SMALL, HeldJob, ended, opened, shown_text, shows, turned_to, until
+from tests.interfaces.tui.pilot import HeldJob, ended, running, shown_text, shows, turned_to, until
 from tests.twin import small_twin
 from tests.verbs import collect_stops, plan_new_run
 
@@ -70,7 +70,6 @@ EVERY_KIND = (
 
 async def show_collect(pilot: Pilot[None], app: CellApp, run: Path | None = None) -> None:
     """The screen Collect, with a run where one is given."""
-    await opened(pilot, app)
     if run is not None:
         app.open_run(run)
         await until(pilot, lambda: app.workspace.folder == run, "the run")
@@ -123,8 +122,7 @@ async def test_real_arms_ask_with_their_first_path_instead(
 ) -> None:
     run = collected_run(Path("logs/part"), "stopped")
     monkeypatch.setattr(Workspace, "kind", "real")
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
+    async with running() as (pilot, app):
         await show_collect(pilot, app, run)
         await pilot.press("b")
         assert not isinstance(app.screen, Choice)
@@ -133,8 +131,7 @@ async def test_real_arms_ask_with_their_first_path_instead(
 
 async def test_stops_that_were_planned_since_are_offered() -> None:
     run = collected_run(Path("logs/more"), "complete", measured=3)
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
+    async with running() as (pilot, app):
         await show_collect(pilot, app, run)
         await shows(pilot, "READY, 1 stop  b measures 1 stop that is left")
 
@@ -154,8 +151,7 @@ def drifted_run(folder: Path, drift_m: float) -> Path:
 async def test_a_drift_is_shown_and_accepted_only_beyond_its_limit(asked: list[tuple[HeldJob, dict[str, Any]]]) -> None:
     limit_m = planned_limit_m(Path("logs/limit"))
     near, far = drifted_run(Path("logs/near"), 0.5 * limit_m), drifted_run(Path("logs/far"), 2.0 * limit_m)
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
+    async with running() as (pilot, app):
         await show_collect(pilot, app, near)
         await pilot.press("d")
         assert app.screen is app.day_screen
@@ -177,14 +173,13 @@ def planned_limit_m(folder: Path) -> float:
 
 
 async def test_a_job_that_holds_for_a_drift_is_resumed_by_accepting_it() -> None:
-    app = CellApp(PROFILES)
     held = HeldJob(
         (
             Progress("collect", 4, 30, detail=ReferenceReport({"arm left": 0.3}, 0.1)),
             Progress("collect", 4, 30, detail=StateChange("stopped", "reference arm left: 0.300 mm from its first")),
         )
     )
-    async with app.run_test(size=SMALL) as pilot:
+    async with running() as (pilot, app):
         await show_collect(pilot, app)
         await begun(pilot, app, held, last="d accepts the")
         app.jobs.control.hold()
@@ -203,8 +198,7 @@ async def show_tables(pilot: Pilot[None], app: CellApp, run: Path) -> None:
 
 async def test_what_a_run_stores_and_its_log_are_shown_until_a_job_begins() -> None:
     run = drifted_run(Path("logs/part"), 0.0)
-    app = CellApp(PROFILES)
-    async with app.run_test(size=(120, 40)) as pilot:
+    async with running(size=(120, 40)) as (pilot, app):
         await show_tables(pilot, app, run)
         await shows(pilot, "Sessions of collecting")
         await shows(pilot, "failed")
@@ -253,8 +247,7 @@ async def show_stops(pilot: Pilot[None], app: CellApp, run: Path) -> None:
 
 
 async def test_the_plot_marks_the_row_and_moves_the_cursor(measured_run: Path) -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=(200, 60)) as pilot:
+    async with running(size=(200, 60)) as (pilot, app):
         await show_stops(pilot, app, measured_run)
         plot, stops = app.screen.query_one("#residuals", ChartPlot), app.screen.query_one(CollectedStops)
         await pilot.press("down", "down", "down")
@@ -268,8 +261,7 @@ async def test_the_plot_marks_the_row_and_moves_the_cursor(measured_run: Path) -
 
 async def test_marked_stops_are_measured_again_after_a_question(measured_run: Path, tmp_path: Path) -> None:
     run = Path(shutil.copytree(measured_run, tmp_path / "again"))
-    app = CellApp(PROFILES)
-    async with app.run_test(size=(120, 40)) as pilot:
+    async with running(size=(120, 40)) as (pilot, app):
         await show_stops(pilot, app, run)
         await pilot.press("s", "s", "f")  # the gross error alone
         await until(pilot, lambda: [row[0] for row in stops_of(app)] == ["12"], "the suspicious stop")
@@ -308,8 +300,7 @@ async def test_a_full_disk_holds_the_reading_until_a_person_freed_it(monkeypatch
         add_stop(self, stop, rows, *others)
 
     monkeypatch.setattr(RunFile, "add_stop", refused)
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
+    async with running() as (pilot, app):
         await show_collect(pilot, app, run)
         await shows(pilot, "READY, 30 stops")
         await pilot.press("b")

@@ -23,22 +23,21 @@ from cellapp.commands.run.result import WholeRunResult
 from cellapp.commands.run_results import read_results
 from cellapp.ground.results import ErrorSummary, Result
 from cellapp.interfaces.tui import verb_jobs
-from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.question import WRITE
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.job_outcome import REPORT_FILE, ending_of
 from cellapp.interfaces.tui.jobs import Job, JobEnded
 from tests.handbook.screen_pictures import settle
-from tests.interfaces.tui.pilot import PROFILES, SMALL, ended, opened, running, shown_text, shows, until
+from tests.interfaces.tui.pilot import PROFILES, ended, running, shown_text, shows, until
+from tests.sure import sure
 
 DAY = Path("logs") / "day"
 GIVEN = {"folder": Path("day"), "targets": Path("old.script")}
 
 
 async def test_enter_in_a_field_sends_what_moves_nothing_and_the_first_empty_field_has_the_focus() -> None:
-    app, answers = CellApp(PROFILES), list[Request | None]()
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
+    answers = list[Request | None]()
+    async with running() as (pilot, app):
         proposed, choices = {"out": Path("new.script")}, {"arm": ("left", "right")}
         app.push_screen(VerbQuestion(COMPENSATE, "", WRITE, GIVEN, proposed=proposed, choices=choices), answers.append)
         await until(pilot, lambda: isinstance(app.focused, Input), "the focus")
@@ -132,8 +131,7 @@ async def test_the_earlier_run_is_chosen_and_shown(finished_run: Path) -> None:
         await ended(pilot, app)
     with RunFile.open(DAY_OF_PRIOR) as run:
         result = read_results(run).calibrate
-    assert result is not None
-    assert all(arm.prior is not None and arm.prior.stage == "discover" for arm in result.arms.values())
+    assert all(arm.prior is not None and arm.prior.stage == "discover" for arm in sure(result).arms.values())
 
 
 RUN = Path("logs/monday")

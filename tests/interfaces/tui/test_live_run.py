@@ -21,8 +21,9 @@ from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.widgets.header import DayHeader
 from tests.cell.run.small_runs import collected_run
-from tests.interfaces.tui.pilot import PROFILES, ended, log_text, opened, running, shown_text, until
+from tests.interfaces.tui.pilot import ended, log_text, opened, running, shown_text, until
 from tests.interfaces.tui.terminal import ROOT
+from tests.sure import sure
 from tests.waiting import WAIT_S, within
 
 pytestmark = pytest.mark.waits
@@ -54,8 +55,7 @@ def other_job(folder: Path, *words: str) -> Iterator[subprocess.Popen[str]]:
 
 
 def said(process: subprocess.Popen[str]) -> str:
-    assert process.stdout is not None
-    return within(process.stdout.readline, "the next line of the job").strip()
+    return within(sure(process.stdout).readline, "the next line of the job").strip()
 
 
 async def watched(pilot: Pilot[None], app: CellApp, starts: bool = True) -> None:
@@ -72,9 +72,8 @@ def badge(app: CellApp) -> str:
 
 
 async def test_a_run_in_which_another_process_works_is_watched_and_commanded() -> None:
-    app = CellApp(PROFILES)
     with other_job(RUN) as job:
-        async with app.run_test(size=(120, 40)) as pilot:
+        async with running(size=(120, 40)) as (pilot, app):
             await watched(pilot, app)
             await until(pilot, lambda: badge(app) == " WATCHED · NO ARMS ", "the badge")
             assert f"Process {job.pid} runs 'collect' in logs/day: its state is shown" in log_text(app)
@@ -100,8 +99,7 @@ async def test_a_job_that_begins_or_ends_meanwhile_is_noticed() -> None:
         app.open_run(RUN)
         await pilot.press("3")
         await until(pilot, lambda: app.workspace.folder is not None, "the run")
-        folder = app.workspace.folder
-        assert folder is not None
+        folder = sure(app.workspace.folder)
         with other_job(folder, "batch") as job:
             await watched(pilot, app, starts=False)
             assert job.stdin is not None
@@ -117,9 +115,8 @@ async def test_a_job_that_begins_or_ends_meanwhile_is_noticed() -> None:
 
 
 async def test_what_is_not_watched_any_more_goes_on() -> None:
-    app = CellApp(PROFILES)
     with other_job(RUN) as job:
-        async with app.run_test(size=(120, 40)) as pilot:
+        async with running(size=(120, 40)) as (pilot, app):
             await watched(pilot, app)
             app.open_run(OTHER)
             await until(pilot, lambda: app.workspace.folder == OTHER and not app.jobs.running, "the other run")
@@ -139,9 +136,8 @@ async def test_what_is_not_watched_any_more_goes_on() -> None:
 
 
 async def test_a_job_that_hangs_is_said() -> None:
-    app = CellApp(PROFILES)
     with other_job(RUN) as job:
-        async with app.run_test(size=(120, 40)) as pilot:
+        async with running(size=(120, 40)) as (pilot, app):
             await watched(pilot, app)
             job.send_signal(signal.SIGSTOP)
             await until(pilot, lambda: "did not answer within 2 s" in app.message, "the silence")

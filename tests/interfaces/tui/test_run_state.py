@@ -16,6 +16,7 @@ from cellapp.interfaces.tui.workspace import load_workspace
 from tests.approved import assert_approved
 from tests.interfaces.tui.pilot import shown_text
 from tests.interfaces.tui.states import STATES, states_table
+from tests.sure import sure
 
 COMMAND = re.compile(r"'cellapp |\bcellapp (?:plan|collect|calibrate|discover|push|report|check|iso9283|locate)\b")
 
@@ -39,13 +40,11 @@ def test_the_table_has_every_state() -> None:
 
 def test_a_tick_is_no_verdict(finished_run: Path) -> None:
     held = load_workspace(None, finished_run)
-    assert held.results is not None
-    verify = held.results.verify
-    assert verify is not None
+    verify = sure(sure(held.results).verify)
     stopped = verify.model_copy(update={"stopped": "stopped after 3 of 40 targets: link lost"})
     signs = {}
     for kind, result in (("done", verify), ("part", stopped)):
-        results = held.results.model_copy(update={"verify": result})
+        results = sure(held.results).model_copy(update={"verify": result})
         mark = marks_of(replace(held, results=results, conclusions=stage_conclusions(results)), 1, 1, 0, None)[
             "targets"
         ]

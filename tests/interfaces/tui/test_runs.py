@@ -15,7 +15,7 @@ from cellapp.commands.run_results import ReportResult
 from cellapp.commands.stages import basis_of
 from cellapp.interfaces.tui.app import CellApp
 from tests.cell.run.small_runs import collected_run, set_began
-from tests.interfaces.tui.pilot import PROFILES, ended, opened, tells, until
+from tests.interfaces.tui.pilot import ended, running, tells, until
 
 LOGS = Path("logs")
 
@@ -43,7 +43,6 @@ def about(app: CellApp) -> str:
 
 async def show_runs(pilot: Pilot[None], app: CellApp, count: int = 4) -> None:
     """Show the screen and wait for the list."""
-    await opened(pilot, app)
     await pilot.press("8")
     await until(pilot, lambda: len(names(app)) == count, "the list")
 
@@ -64,8 +63,7 @@ async def test_the_path_of_a_report_is_said_and_a_missing_one_is_written(
         return ReportResult(run=str(request.folder), page=str(page))
 
     monkeypatch.setattr("cellapp.commands.report.run.run", report)
-    app = CellApp(PROFILES)
-    async with app.run_test(size=(120, 40)) as pilot:
+    async with running(size=(120, 40)) as (pilot, app):
         await show_runs(pilot, app)
         await go_to(pilot, app, "first")
         await pilot.press("o")

@@ -21,15 +21,15 @@ from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.program import MotionQuestion, Palette
 from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.widgets.controls import StopButton
-from tests.interfaces.tui.pilot import PROFILES, SMALL, WAIT_S, MovingJob, ended, log_text, opened, until
+from tests.interfaces.tui.pilot import WAIT_S, MovingJob, ended, log_text, running, until
 from tests.latency import attempts
+from tests.sure import sure
 
 BAR_S = 0.1
 """From the press to the brakes."""
 
 
 async def started(pilot: Pilot[None], app: CellApp, moving: MovingJob) -> None:
-    await opened(pilot, app)
     moving.clock = time.monotonic
     app.start_job(moving.job(Path("here")))
     await until(pilot, moving.began.is_set, "the job")
@@ -38,8 +38,7 @@ async def started(pilot: Pilot[None], app: CellApp, moving: MovingJob) -> None:
 @asynccontextmanager
 async def held_by(moving: MovingJob) -> AsyncIterator[tuple[Pilot[None], CellApp]]:
     """The application while a job of moving arms runs."""
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
+    async with running() as (pilot, app):
         await started(pilot, app, moving)
         yield pilot, app
 
@@ -52,8 +51,7 @@ async def aborted(pilot: Pilot[None], app: CellApp) -> None:
 @pytest.mark.usefixtures("painted")
 @pytest.mark.parametrize(("way", "verb"), [("escape", "stop"), ("click", "stop"), ("ctrl+x", "abort")])
 async def test_one_key_and_one_click_brake_within_the_bar_over_every_dialog(way: str, verb: str) -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
+    async with running() as (pilot, app):
         for dialog in ("none", "motion") if verb == "abort" else ("none", "leave", "motion", "palette"):
             for took in attempts(braked=BAR_S):
                 took["braked"] = await braked_over(pilot, app, dialog, way, verb)
@@ -93,8 +91,7 @@ async def braked_over(pilot: Pilot[None], app: CellApp, dialog: str, way: str, v
 def press_stop(app: CellApp) -> None:
     """Press STOP as a terminal does. A pilot would first wait until the screen is idle, which is no latency of STOP."""
     x, y = app.screen.query_one(StopButton).region.offset
-    assert app._driver is not None
-    app._driver.process_message(MouseDown(None, x, y, 0, 0, 1, False, False, False))
+    sure(app._driver).process_message(MouseDown(None, x, y, 0, 0, 1, False, False, False))
 
 
 async def opened_dialog(pilot: Pilot[None], app: CellApp, dialog: str) -> None:
@@ -149,13 +146,12 @@ async def test_real_arms_move_when_the_profiles_name_is_typed() -> None:
     moving = MovingJob(asks=True)
     async with held_by(moving) as (pilot, app):
         await until(pilot, lambda: isinstance(app.screen, MotionQuestion), "the question")
-        assert app.workspace.profile is not None
         words = [str(text.render()) for text in app.screen.query(Static)]
         assert any("arm left turns joint 1" in text for text in words)
         await pilot.press(*"sxpc", "enter")
         await until(pilot, lambda: isinstance(app.screen, MotionQuestion), "the question")
         assert moving.control.request == "none", "letters in the field are text"
-        app.screen.query_one("#name", Input).value = app.workspace.profile.name
+        app.screen.query_one("#name", Input).value = sure(app.workspace.profile).name
         await pilot.press("enter")
         await until(pilot, lambda: moving.allowed is True, "the permission")
         assert not isinstance(app.screen, MotionQuestion)
@@ -175,8 +171,7 @@ async def test_a_button_refuses_the_motion() -> None:
 async def test_a_resume_that_is_handled_after_a_later_stop_does_not_undo_it() -> None:
     moving = MovingJob()
     async with held_by(moving) as (pilot, app):
-        given = app.presses.give()  # as the thread does that reads the terminal
-        assert given is not None
+        given = sure(app.presses.give())  # as the thread does that reads the terminal
         requests: list[str] = []
         app.action_resume()
         requests.append(moving.control.request)  # it may have been pressed before

@@ -30,6 +30,7 @@ from tests.evidence.wire.terminal_presses import COLUMNS, KEYS, PLACES, ROWS
 from tests.interfaces.tui.terminal import ROOT, Terminal
 from tests.latency import attempts
 from tests.loopback import free_port, own_address
+from tests.sure import sure
 from tests.twin import PROFILES
 from tests.waiting import WAIT_S, within
 
@@ -290,10 +291,9 @@ def profile(tmp_path: Path) -> Path:
 
 def object_on(process: subprocess.Popen[str]) -> str:
     """The JSON object that a process prints and ends with a line of its own."""
-    assert process.stdout is not None
     lines = [""]
     while lines[-1] != "}\n":
-        lines.append(within(process.stdout.readline, "the addresses of the emulators"))
+        lines.append(within(sure(process.stdout).readline, "the addresses of the emulators"))
         assert lines[-1], "the emulators did not come up"
     return "".join(lines)
 

@@ -16,7 +16,7 @@ from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.jobs import Job
 from cellapp.interfaces.tui.workspace import Workspace
-from tests.interfaces.tui.pilot import PROFILES, SMALL, ended, opened, shows, until
+from tests.interfaces.tui.pilot import PROFILES, ended, running, shows, until
 from tests.interfaces.tui.test_cell_screen import edits
 from tests.twin import small_twin, write_few_targets
 
@@ -34,7 +34,6 @@ def heading(app: CellApp) -> str:
 
 async def show_targets(pilot: Pilot[None], app: CellApp, run: Path | None, targets: Path | None = None) -> None:
     """Open a run, show the screen, wait for its list; then open another list if one is given."""
-    await opened(pilot, app)
     if run is not None:
         app.open_run(run, TWIN)
         await until(pilot, lambda: app.workspace.folder == run, "the run")
@@ -77,8 +76,7 @@ async def test_a_model_that_is_out_of_date_is_used_only_if_that_is_said(
 
     monkeypatch.setattr("cellapp.interfaces.tui.verb_jobs.verb_job", job)
     monkeypatch.setattr(Workspace, "stale", "'discover' is out of date (new readings)")
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
+    async with running() as (pilot, app):
         await show_targets(pilot, app, finished_copy, few)
         for answer in ("enter", "u"):
             await pilot.press("P")
@@ -93,8 +91,7 @@ async def test_a_model_that_is_out_of_date_is_used_only_if_that_is_said(
 
 
 async def test_a_list_is_edited_and_checked_again(tmp_path: Path, few: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
+    async with running() as (pilot, app):
         await show_targets(pilot, app, None, few)
         monkeypatch.chdir(tmp_path)
         edits(app, monkeypatch, "left-02", "left-01")

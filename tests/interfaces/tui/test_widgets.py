@@ -33,7 +33,8 @@ from cellapp.interfaces.tui.widgets.chart_plot import ON_DARK, ON_LIGHT
 from cellapp.interfaces.tui.widgets.log_pane import LogPane
 from cellapp.interfaces.tui.widgets.progress_bars import WHOLE_DAY, Part, ending_words, parts_of
 from tests.cell.run.small_runs import planned_run
-from tests.interfaces.tui.pilot import PROFILES, SIZES, SMALL, HeldJob, ended, opened, running, shown_text, shows, until
+from tests.interfaces.tui.pilot import SIZES, HeldJob, ended, running, shown_text, shows, until
+from tests.sure import sure
 from tests.waiting import WAIT_S
 
 NOON = datetime(2026, 3, 1, 12, 0, 0)
@@ -41,7 +42,6 @@ NOON = datetime(2026, 3, 1, 12, 0, 0)
 
 async def shown_log(pilot: Pilot[None], app: CellApp, rows: list[LogRow]) -> LogPane:
     """The screen Collect with a log."""
-    await opened(pilot, app)
     await pilot.press("3")
     await until(pilot, lambda: app.screen.query(LogPane), "the log")
     pane = app.screen.query_one(LogPane)
@@ -58,8 +58,7 @@ MANY = [
 
 
 async def test_it_follows_the_end_unless_somebody_looks_up() -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
+    async with running() as (pilot, app):
         pane = await shown_log(pilot, app, [])
         pane.show("Log of this session", MANY, stored=False)
         await shows(pilot, "event 399")
@@ -101,9 +100,8 @@ class HungJob:
 
 @pytest.mark.parametrize("size", SIZES)
 async def test_a_cell_that_is_dead_is_not_shown_as_running_though_its_job_hangs(size: tuple[int, int]) -> None:
-    app, job = CellApp(PROFILES), HungJob()
-    async with app.run_test(size=size) as pilot:
-        await opened(pilot, app)
+    job = HungJob()
+    async with running(size=size) as (pilot, app):
         app.start_job(job.job())
         await pilot.press("3")
         await until(pilot, lambda: "right moves 0.0 s" in shown_text(app), "the ages")
@@ -124,9 +122,8 @@ async def test_a_cell_that_is_dead_is_not_shown_as_running_though_its_job_hangs(
 
 
 async def test_each_state_of_a_stop_is_shown_without_the_job() -> None:
-    app, job = CellApp(PROFILES), HungJob()
-    async with app.run_test(size=SIZES[0]) as pilot:
-        await opened(pilot, app)
+    job = HungJob()
+    async with running(size=SIZES[0]) as (pilot, app):
         app.start_job(job.job())
         await pilot.press("3")
         await until(pilot, lambda: "MEASURING" in shown_text(app), "measuring")
@@ -190,8 +187,7 @@ def test_ages_are_amber_above_three_tenths_and_red_above_one_second() -> None:
 
 
 def test_missing_data_are_named_where_nothing_was_stopped() -> None:
-    banner = banner_of(cell_live(arm_live(5.0), arm_live(), tracker_age_s=None), {})
-    assert banner is not None
+    banner = sure(banner_of(cell_live(arm_live(5.0), arm_live(), tracker_age_s=None), {}))
     assert banner.words.startswith("NO DATA from arm left, tracker")
 
 
@@ -267,7 +263,7 @@ NUMBERS = st.one_of(
 )
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(
     x=arrays(np.float64, st.integers(0, 30), elements=NUMBERS, fill=st.nothing()),
     seed=st.integers(0, 2**32 - 1),

@@ -14,6 +14,7 @@ from cellapp.robot.effects.unknown import PAIR_ORDER, curve_families, pair_famil
 from cellapp.robot.kinematics.transforms import rotation_from_vector, rotation_x, rotation_y, rotation_z, transform
 from cellapp.robot.model.nominal import bodies_of, nominal_arm, pose_matrix, up_in_tracker
 from tests.arms import Array, true_geometry
+from tests.sure import sure
 from tests.twin import whole_twin
 
 NOTHING = MeasurementConditions()
@@ -48,11 +49,9 @@ def context_of(
     """An arm of the twin with geometric errors (Hayati angles too) and a tilted base, at n random stops."""
     profile = whole_twin()
     owner = profile.arms[arm]
-    assert profile.tracker.pose is not None
-    assert owner.base is not None
     rng = np.random.default_rng(seed)
     aslant = transform(rotation_from_vector([0.02, -0.03, 0.01]), [0.0, 0.0, 0.0])
-    T_M_B = np.linalg.inv(pose_matrix(profile.tracker.pose)) @ pose_matrix(owner.base) @ aslant
+    T_M_B = np.linalg.inv(pose_matrix(sure(profile.tracker.pose))) @ pose_matrix(sure(owner.base)) @ aslant
     return EffectContext(
         q=rng.uniform(-2.5, 2.5, (n, 6)),
         conditions=conditions_of(rng, n) if conditions is None else conditions,
@@ -131,15 +130,13 @@ def by_name(columns: list[EffectColumn]) -> dict[str, EffectColumn]:
 def shifts(column: EffectColumn) -> Array:
     """The shift of a column that offsets no joint."""
     assert column.joint is None
-    assert column.shift_M is not None
-    return column.shift_M
+    return sure(column.shift_M)
 
 
 def offsets(column: EffectColumn) -> Array:
     """The offset of a column that offsets a joint."""
     assert column.joint is not None
-    assert column.offset is not None
-    return column.offset
+    return sure(column.offset)
 
 
 def curve_laws(context: EffectContext) -> list[Law]:

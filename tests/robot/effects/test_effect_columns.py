@@ -15,6 +15,7 @@ from cellapp.robot.effects import EFFECTS, Effect, EffectContext, Law, Measureme
 from cellapp.robot.effects.law import AMPLITUDE, LENGTH
 from cellapp.robot.kinematics.transforms import rotation_from_vector, rotation_x, rotation_y, transform
 from tests.robot.effects.cell import EYE, by_name, chain, context_of, offsets, shifts, slope, under
+from tests.sure import sure
 
 GRAVITY = 9.80665
 CONTEXT = context_of(10)
@@ -27,7 +28,9 @@ def laws(slug, name, context=CONTEXT):
     return [law for law in EFFECTS[slug].laws(context) if law.name == name]
 
 
-def columns(slug, law, context=CONTEXT):
+def columns(slug, law=None, context=CONTEXT):
+    """Columns by name under a law: itself, its name, or the only one of the effect."""
+    law = law if isinstance(law, Law) else EFFECTS[slug].law(*filter(None, [law]))
     return by_name(EFFECTS[slug].columns(context, law))
 
 
@@ -46,7 +49,7 @@ def test_an_axis_tilts_twice_a_turn(joint, letter, axis, wave, function):
     def moved(row, h):
         return chain(CONTEXT, row, twist={joint - 1: h * function(2.0 * CONTEXT.q[row, joint - 1]) * axis}).smr
 
-    found = columns("joint_axis_wobble", EFFECTS["joint_axis_wobble"].law())
+    found = columns("joint_axis_wobble")
     column = found[f"wobble_{letter}{joint}_{wave}"]
     assert column.block == column.where == f"joint {joint}"
     np.testing.assert_allclose(shifts(column), each_row(moved), atol=1e-9)
@@ -129,10 +132,10 @@ def test_a_pedestal_tilts_with_the_arms_moment():
     def moved(row, h):
         return chain(CONTEXT, row, outside=about(CONTEXT.geometry.T_M_B()[:3, 3], h * own_moment(row))).smr
 
-    found = columns("pedestal_compliance", EFFECTS["pedestal_compliance"].law("isotropic"))
+    found = columns("pedestal_compliance", "isotropic")
     assert list(found) == ["pedestal_tilt"]
     np.testing.assert_allclose(shifts(found["pedestal_tilt"]), each_row(moved, h=1e-7), atol=1e-5)
-    parts = columns("pedestal_compliance", EFFECTS["pedestal_compliance"].law("tilt"))
+    parts = columns("pedestal_compliance", "tilt")
     assert [column.block for column in parts.values()] == ["base", "base"]
     np.testing.assert_allclose(
         sum(shifts(column) for column in parts.values()), shifts(found["pedestal_tilt"]), atol=1e-9
@@ -149,11 +152,7 @@ def test_a_pedestal_on_a_wall_or_under_a_ceiling(rotation):
     np.testing.assert_allclose(moments @ up, 0.0, atol=1e-9)
     expected = np.cross(moments, context.p_M - origin)
     np.testing.assert_allclose(
-        shifts(
-            columns("pedestal_compliance", EFFECTS["pedestal_compliance"].law("isotropic"), context)["pedestal_tilt"]
-        ),
-        expected,
-        atol=1e-9,
+        shifts(columns("pedestal_compliance", "isotropic", context)["pedestal_tilt"]), expected, atol=1e-9
     )
 
 
@@ -203,9 +202,9 @@ def test_a_horizontal_cantilever_hangs_down():
         bodies=replace(CONTEXT.bodies, masses=np.zeros(6), payload_mass=10.0, payload_center=np.zeros(3)),
         up_M=np.array([0.0, 0.0, 1.0]),
     )
-    column = columns("link_bending", EFFECTS["link_bending"].law("bending"), context)["flexibility1"]
+    column = columns("link_bending", "bending", context)["flexibility1"]
     np.testing.assert_allclose(shifts(column), [[0.0, 0.0, -10.0 * GRAVITY * 0.8**3 / 3.0]], atol=1e-12)
-    sheared = columns("link_bending", EFFECTS["link_bending"].law("bending"), context)["shear1"]
+    sheared = columns("link_bending", "bending", context)["shear1"]
     assert (sheared.block, sheared.refines, sheared.unit) == ("link 1 shear", True, "1/N")
     np.testing.assert_allclose(shifts(sheared), [[0.0, 0.0, -10.0 * GRAVITY * 0.8]], atol=1e-12)
 
@@ -231,13 +230,13 @@ def misread(**errors):
 
 
 def test_a_scale_stretches_all_distances():
-    column = columns("tracker_scale", EFFECTS["tracker_scale"].law())["scale"]
+    column = columns("tracker_scale")["scale"]
     assert column.unit == "m/m"
     np.testing.assert_allclose(shifts(column), misread(stretched=lambda az, el: 1.0), atol=1e-9)
 
 
 def test_a_distance_offset_lengthens_all_distances():
-    column = columns("tracker_distance_offset", EFFECTS["tracker_distance_offset"].law())["distance_offset"]
+    column = columns("tracker_distance_offset")["distance_offset"]
     assert column.unit == "m"
     np.testing.assert_allclose(shifts(column), misread(longer=lambda az, el: 1.0), atol=1e-9)
 
@@ -245,7 +244,7 @@ def test_a_distance_offset_lengthens_all_distances():
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize(("wave", "function"), [("cos", np.cos), ("sin", np.sin)])
 def test_angles_err_with_their_own_orders(order, wave, function):
-    found = columns("tracker_angle_error", EFFECTS["tracker_angle_error"].law("orders"))
+    found = columns("tracker_angle_error", "orders")
     column = found[f"azimuth_{wave}{order}"]
     assert column.block == f"azimuth {order}"
     np.testing.assert_allclose(shifts(column), misread(azimuth=lambda az, el: function(order * az)), atol=1e-9)
@@ -266,11 +265,7 @@ def test_an_inclined_target_has_radial_and_lateral_errors(degrees):
     aside = np.cross(beam, [0.3, -0.5, 0.8])
     aside /= np.linalg.norm(aside)
     angle = np.deg2rad(degrees)
-    found = columns(
-        "target_incidence",
-        EFFECTS["target_incidence"].law("lateral"),
-        looking(-np.cos(angle) * beam + np.sin(angle) * aside),
-    )
+    found = columns("target_incidence", "lateral", looking(-np.cos(angle) * beam + np.sin(angle) * aside))
     np.testing.assert_allclose(shifts(found["incidence_radial"])[0], (1.0 - np.cos(angle)) * beam, atol=1e-12)
     np.testing.assert_allclose(shifts(found["incidence_lateral"])[0], np.sin(angle) * aside, atol=1e-12)
 
@@ -278,27 +273,15 @@ def test_an_inclined_target_has_radial_and_lateral_errors(degrees):
 # -- Effects in the joints: compliance, eccentricity, drives, backlash, friction, settling, drift ----------------------
 
 
-CONTEXT_OF_JOINTS = context_of(12)
-CONDITIONS_OF_JOINTS: Any = CONTEXT_OF_JOINTS.conditions
-
-
-def laws_of_joints(slug, name, context=CONTEXT_OF_JOINTS):
-    return [law for law in EFFECTS[slug].laws(context) if law.name == name]
-
-
-def columns_of_joints(slug, law, context=CONTEXT_OF_JOINTS):
-    return by_name(EFFECTS[slug].columns(context, law))
-
-
 def energy(row, joints, masses, payload):
     """Potential energy [J] of bodies and payload, with the joints displaced."""
-    walked = chain(CONTEXT_OF_JOINTS, row, joints=joints)
+    walked = chain(CONTEXT, row, joints=joints)
     heights = [
-        CONTEXT_OF_JOINTS.up_M @ (pose[:3, :3] @ center + pose[:3, 3])
-        for pose, center in zip(walked.frames[1:], CONTEXT_OF_JOINTS.bodies.centers, strict=True)
+        CONTEXT.up_M @ (pose[:3, :3] @ center + pose[:3, 3])
+        for pose, center in zip(walked.frames[1:], CONTEXT.bodies.centers, strict=True)
     ]
     end = walked.frames[-1]
-    load = CONTEXT_OF_JOINTS.up_M @ (end[:3, :3] @ CONTEXT_OF_JOINTS.bodies.payload_center + end[:3, 3])
+    load = CONTEXT.up_M @ (end[:3, :3] @ CONTEXT.bodies.payload_center + end[:3, 3])
     return GRAVITY * (masses @ np.array(heights) + payload * load)
 
 
@@ -311,34 +294,34 @@ def torques(masses, payload):
                 -(energy(row, h * step, masses, payload[row]) - energy(row, -h * step, masses, payload[row])) / (2 * h)
                 for step in np.eye(6)
             ]
-            for row in range(len(CONTEXT_OF_JOINTS))
+            for row in range(len(CONTEXT))
         ]
     )
 
 
 def test_compliance_follows_the_torque_of_arm_and_payload():
-    expected = torques(CONTEXT_OF_JOINTS.bodies.masses, CONDITIONS_OF_JOINTS.payload_kg)
+    expected = torques(CONTEXT.bodies.masses, CONDITIONS.payload_kg)
     assert np.abs(expected).max() > 50.0
-    found = columns_of_joints("joint_compliance", EFFECTS["joint_compliance"].law("linear"))
+    found = columns("joint_compliance", "linear")
     for j in range(6):
         np.testing.assert_allclose(offsets(found[f"compliance{j + 1}"]), expected[:, j], atol=1e-5)
 
 
 def test_payload_compliance_follows_the_torque_of_the_payload_alone():
-    expected = torques(np.zeros(6), CONDITIONS_OF_JOINTS.payload_kg)
-    found = columns_of_joints("payload_compliance", EFFECTS["payload_compliance"].law())
+    expected = torques(np.zeros(6), CONDITIONS.payload_kg)
+    found = columns("payload_compliance")
     for j in range(6):
         np.testing.assert_allclose(offsets(found[f"payload_compliance{j + 1}"]), expected[:, j], atol=1e-5)
 
 
 def test_two_slopes_meet_at_the_knee():
-    stiffest = np.abs(CONTEXT_OF_JOINTS.torques).max(axis=0)
-    found = laws_of_joints("joint_compliance", "two_slope")
+    stiffest = np.abs(CONTEXT.torques).max(axis=0)
+    found = laws("joint_compliance", "two_slope")
     assert [law.constants["knee2"] / stiffest[1] for law in found] == pytest.approx([0.2, 0.35, 0.5, 0.65])
     assert {law.tried for law in found} == {4}
     law = found[2]
-    parts = columns_of_joints("joint_compliance", law)
-    torque, knee = CONTEXT_OF_JOINTS.torques[:, 1], law.constants["knee2"]
+    parts = columns("joint_compliance", law)
+    torque, knee = CONTEXT.torques[:, 1], law.constants["knee2"]
     rotated = 1e-5 * offsets(parts["compliance2"]) + 4e-6 * offsets(parts["soft2"])
     inside = np.abs(torque) < knee
     assert 0 < np.count_nonzero(inside) < len(torque)
@@ -347,87 +330,83 @@ def test_two_slopes_meet_at_the_knee():
 
 
 def test_eccentricity_is_one_cycle_and_ovality_two():
-    found = columns_of_joints("encoder_eccentricity", EFFECTS["encoder_eccentricity"].law())
-    np.testing.assert_allclose(offsets(found["cos1q4"]), np.cos(CONTEXT_OF_JOINTS.q[:, 3]))
-    np.testing.assert_allclose(offsets(found["sin1q6"]), np.sin(CONTEXT_OF_JOINTS.q[:, 5]))
-    found = columns_of_joints("transmission_error", EFFECTS["transmission_error"].law("two"))
+    found = columns("encoder_eccentricity")
+    np.testing.assert_allclose(offsets(found["cos1q4"]), np.cos(CONTEXT.q[:, 3]))
+    np.testing.assert_allclose(offsets(found["sin1q6"]), np.sin(CONTEXT.q[:, 5]))
+    found = columns("transmission_error", "two")
     assert list(found)[:2] == ["cos2q1", "sin2q1"]
     assert {column.block for column in found.values()} == {f"joint {j}" for j in range(1, 7)}
-    np.testing.assert_allclose(offsets(found["sin2q5"]), np.sin(2.0 * CONTEXT_OF_JOINTS.q[:, 4]))
+    np.testing.assert_allclose(offsets(found["sin2q5"]), np.sin(2.0 * CONTEXT.q[:, 4]))
 
 
 def test_a_joint_lags_half_the_play():
-    found = columns_of_joints("backlash", EFFECTS["backlash"].law("constant"))
+    found = columns("backlash", "constant")
     for j in range(6):
         column = found[f"half_play{j + 1}"]
-        np.testing.assert_array_equal(offsets(column), -CONDITIONS_OF_JOINTS.approach[:, j])
+        np.testing.assert_array_equal(offsets(column), -CONDITIONS.approach[:, j])
         assert (column.lower, column.unit) == (0.0, "rad")
 
 
 def test_hysteresis_saturates_with_the_step():
-    found = laws_of_joints("backlash", "saturating")
+    found = laws("backlash", "saturating")
     assert [law.constants["width"] for law in found] == [0.02, 0.05, 0.1, 0.2, 0.4, 0.8]
     assert {law.tried for law in found} == {6}
-    step = CONDITIONS_OF_JOINTS.step[:, 2]
+    step = CONDITIONS.step[:, 2]
     np.testing.assert_allclose(
-        offsets(columns_of_joints("backlash", found[3])["half_play3"]), -np.sign(step) * np.tanh(np.abs(step) / 0.2)
+        offsets(columns("backlash", found[3])["half_play3"]), -np.sign(step) * np.tanh(np.abs(step) / 0.2)
     )
-    only_signs = under(CONTEXT_OF_JOINTS, MeasurementConditions(approach=CONDITIONS_OF_JOINTS.approach))
-    typical = np.median(np.abs(CONDITIONS_OF_JOINTS.step[:, 2]))
+    only_signs = under(CONTEXT, MeasurementConditions(approach=CONDITIONS.approach))
+    typical = np.median(np.abs(CONDITIONS.step[:, 2]))
     np.testing.assert_allclose(
-        offsets(columns_of_joints("backlash", found[3], only_signs)["half_play3"]),
-        -np.sign(step) * np.tanh(typical / 0.2),
+        offsets(columns("backlash", found[3], only_signs)["half_play3"]), -np.sign(step) * np.tanh(typical / 0.2)
     )
 
 
 def test_an_unknown_approach_is_no_lost_motion():
-    nothing_known = under(CONTEXT_OF_JOINTS, MeasurementConditions())
+    nothing_known = under(CONTEXT, MeasurementConditions())
     for slug in ("backlash", "friction_windup", "unsettled_measurement"):
-        for law in EFFECTS[slug].laws(CONTEXT_OF_JOINTS):
-            for column in columns_of_joints(slug, law, nothing_known).values():
+        for law in EFFECTS[slug].laws(CONTEXT):
+            for column in columns(slug, law, nothing_known).values():
                 assert not offsets(column).any()
 
 
 def test_friction_winds_up_with_the_load():
-    signs, load = CONDITIONS_OF_JOINTS.approach[:, 1], np.abs(CONTEXT_OF_JOINTS.torques[:, 1])
-    both = columns_of_joints("friction_windup", EFFECTS["friction_windup"].law("both"))
+    signs, load = CONDITIONS.approach[:, 1], np.abs(CONTEXT.torques[:, 1])
+    both = columns("friction_windup", "both")
     assert both["dry2"].block == both["windup2"].block == "joint 2"
     np.testing.assert_allclose(offsets(both["dry2"]), -signs)
     np.testing.assert_allclose(offsets(both["windup2"]), -signs * load)
-    alone = columns_of_joints("friction_windup", EFFECTS["friction_windup"].law("load"))
+    alone = columns("friction_windup", "load")
     assert list(alone) == [f"windup{j}" for j in range(1, 7)]
     np.testing.assert_allclose(offsets(alone["windup2"]), -signs * load)
 
 
 def test_an_unsettled_joint_lags_behind_its_motion():
-    step, dwell = CONDITIONS_OF_JOINTS.step[:, 0], CONDITIONS_OF_JOINTS.dwell_s
-    np.testing.assert_allclose(
-        offsets(columns_of_joints("unsettled_measurement", EFFECTS["unsettled_measurement"].law("step"))["lag1"]), -step
-    )
-    found = laws_of_joints("unsettled_measurement", "creep")
+    step, dwell = CONDITIONS.step[:, 0], CONDITIONS.dwell_s
+    np.testing.assert_allclose(offsets(columns("unsettled_measurement", "step")["lag1"]), -step)
+    found = laws("unsettled_measurement", "creep")
     assert found[-1].constants["tau_s"] == pytest.approx(30.0)
     for law in found:
         expected = -step * np.exp(-dwell / law.constants["tau_s"])
-        np.testing.assert_allclose(offsets(columns_of_joints("unsettled_measurement", law)["lag1"]), expected)
-    no_dwell = under(CONTEXT_OF_JOINTS, MeasurementConditions(step=CONDITIONS_OF_JOINTS.step))
+        np.testing.assert_allclose(offsets(columns("unsettled_measurement", law)["lag1"]), expected)
+    no_dwell = under(CONTEXT, MeasurementConditions(step=CONDITIONS.step))
     np.testing.assert_allclose(
-        offsets(columns_of_joints("unsettled_measurement", found[-1], no_dwell)["lag1"]),
-        -step * np.exp(-np.median(dwell) / 30.0),
+        offsets(columns("unsettled_measurement", found[-1], no_dwell)["lag1"]), -step * np.exp(-np.median(dwell) / 30.0)
     )
 
 
 def test_joint_zeros_drift():
-    time = CONDITIONS_OF_JOINTS.time_s
-    (law,) = laws_of_joints("joint_drift", "linear")
-    column = columns_of_joints("joint_drift", law)["drift4"]
+    time = CONDITIONS.time_s
+    (law,) = laws("joint_drift", "linear")
+    column = columns("joint_drift", law)["drift4"]
     assert (column.unit, column.joint) == ("rad", 3)
     np.testing.assert_allclose(offsets(column), (time - time[0]) / (time[-1] - time[0]))
-    for law in laws_of_joints("joint_drift", "warm_up"):
+    for law in laws("joint_drift", "warm_up"):
         expected = 1.0 - np.exp(-(time - time[0]) / law.constants["tau_s"])
-        np.testing.assert_allclose(offsets(columns_of_joints("joint_drift", law)["drift4"]), expected)
-    (law,) = laws_of_joints("joint_drift", "joint_temperature")
-    column = columns_of_joints("joint_drift", law)["drift4"]
-    joints_c = CONDITIONS_OF_JOINTS.joints_c[:, 3]
+        np.testing.assert_allclose(offsets(columns("joint_drift", law)["drift4"]), expected)
+    (law,) = laws("joint_drift", "joint_temperature")
+    column = columns("joint_drift", law)["drift4"]
+    joints_c = CONDITIONS.joints_c[:, 3]
     assert column.unit == "rad/K"
     np.testing.assert_allclose(offsets(column), joints_c - joints_c.mean())
 
@@ -463,18 +442,15 @@ def test_every_column_turns_the_probe_as_it_moves_points_of_it(slug):
             if column.joint is not None:
                 np.testing.assert_array_equal(column.offset, here[name].offset)
                 continue
-            own = here[name].shift_M
-            assert own is not None
-            assert column.shift_M is not None
+            own = sure(here[name].shift_M)
             if effect.of_reading:  # of the reading of a point: the probe itself does not turn
-                assert not column.shift_M.any()
+                assert not sure(column.shift_M).any()
                 continue
             size = np.abs(own).max()
             for axis, further in enumerate(levers):
-                other = further[name].shift_M
-                assert other is not None
+                other = sure(further[name].shift_M)
                 moved = other - own
-                np.testing.assert_allclose(moved, np.cross(column.shift_M, R_M_F[:, :, axis]), atol=1e-9 * size)
+                np.testing.assert_allclose(moved, np.cross(sure(column.shift_M), R_M_F[:, :, axis]), atol=1e-9 * size)
 
 
 def test_readings_of_both_kinds_stand_side_by_side():

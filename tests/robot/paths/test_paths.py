@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import refuse_stop
 from cellapp.cell.targets.path import PathPlan, PathSpec, load_paths, plan_path
-from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
 from cellapp.robot.kinematics.chain import parameter_names
@@ -24,6 +23,8 @@ from cellapp.robot.model import ArmModel, CellModel
 from cellapp.robot.model.nominal import bodies_of, nominal_arm, pose_matrix, up_in_tracker
 from cellapp.robot.paths.cartesian import Arc, CartesianPath
 from cellapp.robot.paths.joint_path import Sweep
+from tests.approved import assert_refused
+from tests.sure import sure
 from tests.twin import PROFILES, small_twin
 
 PERIOD_S = 0.008
@@ -45,9 +46,7 @@ def calibrated(profile: Profile) -> CellModel:
     rng = np.random.default_rng(5)
     arms = {}
     for name, arm in profile.arms.items():
-        assert arm.base is not None
-        assert profile.tracker.pose is not None
-        T_M_B = np.linalg.inv(pose_matrix(profile.tracker.pose)) @ pose_matrix(arm.base)
+        T_M_B = np.linalg.inv(pose_matrix(sure(profile.tracker.pose))) @ pose_matrix(sure(arm.base))
         nominal = nominal_arm(arm).with_T_M_B(T_M_B)
         names = parameter_names(nominal.joints)
         sizes = np.array([3e-4 if "a" in parameter or "d" in parameter else 1e-3 for parameter in names])
@@ -113,8 +112,6 @@ def assert_followed(profile: Profile, model: CellModel, plan: PathPlan) -> None:
     """The model's SMR keeps the tolerance at every sample and between them; no joint exceeds its rates or limits."""
     trajectory, path, wanted = plan.trajectory, plan.path, plan.spec
     assert trajectory is not None
-    assert path is not None
-    assert plan.joints is not None
     arm, kind = model.arms[wanted.arm], profile.arms[wanted.arm]
     speed, acceleration = trajectory.largest_rates()
     most = np.array([[joint.speed, joint.acceleration] for joint in kind.type.joints]) * kind.speed_scale
@@ -123,14 +120,14 @@ def assert_followed(profile: Profile, model: CellModel, plan: PathPlan) -> None:
     # away from where joints turn round, the side of approach is the sign of the motion
     steps = np.diff(trajectory.q, axis=0)
     away = np.ones(len(steps), dtype=bool)
-    for one in plan.joints.reversals:
+    for one in sure(plan.joints).reversals:
         away &= np.abs(trajectory.s[:-1] - one.at_m) > one.window_m + 2e-3
     signs = np.where(np.abs(steps) > 1e-9, np.sign(steps), 0.0)
     away &= (np.abs(steps) > 2e-6).all(axis=1)
     for share in (0.0, 0.5):
         q = trajectory.q[:-1] + share * steps
         smr = arm.predict(q[away], conditions=MeasurementConditions(approach=signs[away]))
-        assert distances_m(path, smr).max(initial=0.0) < wanted.tolerance
+        assert distances_m(sure(path), smr).max(initial=0.0) < wanted.tolerance
     cell, others = cell_bodies(profile, model), home_positions(profile)
     for row in np.linspace(0, len(trajectory.q) - 1, 5).astype(int):
         assert refuse_stop(cell, {**others, wanted.arm: trajectory.q[row]}) == ""
@@ -140,11 +137,9 @@ def test_the_example_paths_are_planned_for_both_arms(profile: Profile, model: Ce
     for wanted in load_paths(TWIN, profile):
         plan = planned(profile, model, wanted)
         assert_followed(profile, model, plan)
-        assert plan.joints is not None
-        assert plan.trajectory is not None
-        assert plan.joints.deviation_m < 0.1 * wanted.tolerance
+        assert sure(plan.joints).deviation_m < 0.1 * wanted.tolerance
         assert plan.nominal is not None
-        np.testing.assert_array_equal(np.diff(plan.trajectory.s) >= 0.0, True)
+        np.testing.assert_array_equal(np.diff(sure(plan.trajectory).s) >= 0.0, True)
 
 
 coordinates = st.floats(-0.12, 0.12)
@@ -187,26 +182,21 @@ def test_a_joint_that_turns_round_crosses_its_play(profile: Profile, model: Cell
         ]
     )
     plan = planned(profile, model, there_and_back)
-    assert plan.joints is not None
-    at_stop = [one for one in plan.joints.reversals if one.at_m == pytest.approx(0.2)]
+    at_stop = [one for one in sure(plan.joints).reversals if one.at_m == pytest.approx(0.2)]
     assert at_stop
     assert all(one.jump_m > 0.0 and one.window_m == 0.0 for one in at_stop)
     lonely = replace(model, arms={name: replace(arm, effects=()) for name, arm in model.arms.items()})
-    assert planned(profile, lonely, there_and_back).joints is not None
-    without = planned(profile, lonely, there_and_back).joints
-    assert without is not None
+    without = sure(planned(profile, lonely, there_and_back).joints)
     assert without.reversals == ()
 
 
 def test_the_wanted_speed_is_kept_where_limits_allow_it(profile: Profile, model: CellModel) -> None:
-    trajectory = planned(profile, model, spec()).trajectory
-    assert trajectory is not None
+    trajectory = sure(planned(profile, model, spec()).trajectory)
     speed = np.diff(trajectory.s) / PERIOD_S
     assert speed.max() == pytest.approx(0.1, rel=PERIOD_S / 2.0)  # the end falls on a sample
     assert trajectory.at_speed > 0.8
     assert trajectory.slowed == ""
-    fast = planned(profile, model, spec(speed="2500 mm/s", acceleration=9.0)).trajectory
-    assert fast is not None
+    fast = sure(planned(profile, model, spec(speed="2500 mm/s", acceleration=9.0)).trajectory)
     assert np.diff(fast.s).max() / PERIOD_S < 2.5
 
 
@@ -227,39 +217,16 @@ def test_what_cannot_be_followed_is_refused_with_its_place(profile: Profile, mod
         assert " mm" in plan.refusal
 
 
-ROTATION = 'rpy: ["90 deg", 0, 0]}\n      - {position: [0.15'
-BAD: dict[str, tuple[str, str, str]] = {
-    "frame": ("arm: left\n", "arm: left\n    frame: nowhere\n", ":6: .*path 'left-frame': no frame 'nowhere'"),
-    "arm": ("arm: left\n", "arm: middle\n", "no arm 'middle'; arms are left, right"),
-    "speed zero": ("speed: 100 mm/s\n", "speed: 0\n", r":9: paths\[0\].speed: expected a speed above 0"),
-    "speed in mm": ("speed: 100 mm/s\n", "speed: 100\n", "is it '100 mm/s'"),
-    "speed unit": ("speed: 100 mm/s\n", "speed: 100 mm\n", "'mm' is not a unit of speed"),
-    "tolerance": ("tolerance: 0.1 mm\n", "tolerance: 0\n", "tolerance"),
-    "no way": ("[0.15, -0.75, 0.55]", "[-0.15, -0.75, 0.55]", r":12: .*poses\[1\]: the way to it is 0.000 mm"),
-    "arc on a line": ("via: [-0.13, -0.70, 0.52]", "via: [-0.10, -0.70, 0.55]", ":16: .*lie on one line"),
-    "rotation": (ROTATION, ROTATION.replace(", 0, 0]", ", 0]"), "rpy"),
-    "turns": ('["95 deg", 0, 0]', "[95, 0, 0]", "is it '95 deg'"),
-    "no rotation": (
-        ', rpy: ["90 deg", 0, 0]}\n      - {position: [0.15',
-        "}\n      - {position: [0.15",
-        "'rpy' is needed",
-    ),
-    "blend": ("blend: 20 mm", "blend: 200 mm", "more than half of"),
-    "twice": ("right-arc", "left-frame", "listed twice"),
-    "key": ("tolerance: 0.1 mm\n", "tolerance: 0.1 mm\n    colour: red\n", "colour"),
-}
+def test_a_bad_file_is_named_by_line_as_approved(tmp_path: Path, profile: Profile) -> None:
+    """Words of the twin's paths are replaced."""
+    path, text = tmp_path / "paths.yaml", TWIN.read_text("utf-8")
 
+    def refused(good: str, bad: str) -> object:
+        assert good in text
+        path.write_text(text.replace(good, bad, 1), "utf-8")
+        return load_paths(path, profile)
 
-@pytest.mark.parametrize("name", BAD, ids=BAD)
-def test_a_bad_file_is_named_by_line(name: str, tmp_path: Path, profile: Profile) -> None:
-    good, bad, words = BAD[name]
-    text = TWIN.read_text("utf-8")
-    assert good in text
-    path = tmp_path / "paths.yaml"
-    path.write_text(text.replace(good, bad, 1), "utf-8")
-    with pytest.raises(InputError, match=words) as caught:
-        load_paths(path, profile)
-    assert str(caught.value).startswith(f"{path}:")
+    assert_refused(Path(__file__).parent / "approved" / "wrong-files.txt", refused, tmp_path)
 
 
 # -- Periodic motions: from rest to rest, derivatives as they are, limits kept -----------------------------------------

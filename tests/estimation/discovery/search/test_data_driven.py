@@ -36,6 +36,7 @@ from cellapp.robot.effects.unknown import curve_families, pair_families
 from cellapp.robot.kinematics.chain import smr_positions
 from drivers.plant.random_functions import RandomField
 from tests.estimation.discovery.problems import arm_of, data_of
+from tests.sure import sure
 from tests.twin import PROFILES
 
 SIGMA_M = 15e-6
@@ -68,14 +69,12 @@ def crosstalk(q):
 def test_an_unknown_law_is_found_and_named_effects_that_imitate_it_go():
     data, _ = readings_with(crosstalk, np.zeros_like)
     problem, start = searched(*refit(data, ()))
-    found = with_data_driven_terms(problem, start)
-    assert found is not None
+    found = sure(with_data_driven_terms(problem, start))
     assert [term.law.name for term in found.fit.terms] == ["joint 4|q5"]
     wobble = EFFECTS["joint_axis_wobble"].laws(start.data.context)[0]
     names = tuple(column.name for column in data.columns("joint_axis_wobble", wobble))
     named = problem.state((ModelTerm("joint_axis_wobble", wobble, names),), start)
-    instead = in_place_of_names(problem, start, named)
-    assert instead is not None
+    instead = sure(in_place_of_names(problem, start, named))
     assert instead.fit.terms == found.fit.terms
     assert in_place_of_names(problem, start, start) is None, "nothing was named"
 
@@ -124,8 +123,7 @@ def test_a_term_explains_a_visible_share_of_what_is_left(size, name):
 def test_a_field_over_the_workspace_is_one_smooth_term():
     field = RandomField.sampled(11, 0.6)
     data, fit = readings_with(np.zeros_like, lambda p: 60e-6 * field.at(p))
-    found = fit_process(data, fit, 30.0)
-    assert found is not None
+    found = sure(fit_process(data, fit, 30.0))
     terms = process_terms(*found)
     assert [(term.slug, term.law.name) for term in terms] == [(UNKNOWN, "base shift|x|y|z")]
     data, after = refit(data, terms)
@@ -144,11 +142,9 @@ def test_beside_a_field_a_law_counts_for_what_the_waves_of_the_field_cannot_foll
         data, fit = readings_with(
             lambda q: amplitude * np.sin(2.0 * q) * (np.arange(6) == 2), lambda p: 60e-6 * field.at(p)
         )
-        found = fit_process(data, fit, 30.0)
-        assert found is not None
+        found = sure(fit_process(data, fit, 30.0))
         data, fit = refit(data, tuple(term for term in process_terms(*found) if term.law.form == FIELD))
-        beside = BesideField.of(data, fit)
-        assert beside is not None
+        beside = sure(BesideField.of(data, fit))
         assert BesideField.of(data, fit) is beside, "made once for a fit"
         law = fit.candidates(data, ["transmission_error"])[0]
         return beside.gain(law.rows[[column.name in ("cos2q3", "sin2q3") for column in law.columns]])
@@ -196,8 +192,7 @@ def test_a_free_function_is_less_probable_than_a_gear(cycles, probability):
         lambda q: 1e-4 * np.sum([np.cos(k * q - 0.4) for k in cycles or (1, 2)], axis=0) * (np.arange(6) == 0),
         np.zeros_like,
     )
-    smooth = fit_process(data, fit, 30.0)
-    assert smooth is not None
+    smooth = sure(fit_process(data, fit, 30.0))
     terms = (lines(cycles, (1,)),) if cycles else process_terms(*smooth)
     assert probable(*searched(*refit(data, terms))) == pytest.approx(probability, abs=0.01)
 
@@ -323,8 +318,7 @@ def test_a_further_joint_joins_before_another_name():
         return -approach * np.array([1.5e-4, 5e-5, 0.0, 0.0, 0.0, 0.0])
 
     problem, state = searched_off(play, "backlash", ("half_play1",))
-    step = refinement(problem, state, THRESHOLD)
-    assert step is not None
+    step = sure(refinement(problem, state, THRESHOLD))
     (term,) = step.terms
     assert set(term.names) == {"half_play1", "half_play2"}
 
@@ -336,8 +330,7 @@ def test_a_tilt_both_ways_is_a_wobble():
 
     problem, state = searched_off(lambda q, torques, approach: np.zeros((N, 6)), shift=tilted)
     score = best_new_score(problem, state, "joint_axis_wobble")
-    step = addition(problem, state, score)
-    assert step is not None
+    step = sure(addition(problem, state, score))
     assert {name[:9] for name in step.terms[0].names} == {"wobble_x5", "wobble_y5"}
 
 

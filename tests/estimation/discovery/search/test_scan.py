@@ -31,6 +31,8 @@ from cellapp.robot.effects import EFFECTS
 from cellapp.robot.kinematics.chain import smr_positions
 from tests.estimation.discovery.problems import PLAIN, N, arm_of, data_of, problem, refining_law
 from tests.estimation.discovery.search.test_data_driven import readings_with
+from tests.sure import sure
+from tests.twin import altered
 
 
 def test_the_score_is_the_bic_gain_of_the_chosen_block() -> None:
@@ -66,8 +68,7 @@ def test_a_refinement_alone_is_never_the_effect() -> None:
     projected, square = residual.projected[:, None], np.array([residual.square])
     np.testing.assert_allclose(scan.best_block_scores(projected, square), main.best_block_scores(projected, square))
     for with_refinements in (False, True):
-        found = scan.score(0, residual, with_refinements=with_refinements)
-        assert found is not None
+        found = sure(scan.score(0, residual, with_refinements=with_refinements))
         assert set(found.names) & {"a", "b"}
 
 
@@ -137,8 +138,7 @@ def searched(
     ``limited`` are those once alternatives score less than the name.
     """
     profile = load_profile(TWIN)
-    few = profile.discovery.model_copy(update={"null_simulations": 60, "false_alarm": 0.02})
-    profile = profile.model_copy(update={"discovery": few})
+    profile = altered(profile, discovery={"null_simulations": 60, "false_alarm": 0.02})
     rng = np.random.default_rng(8)
     q = rng.uniform(-2.5, 2.5, (N_at_even_odds, 6))
     approach = rng.choice([-1, 1], (N_at_even_odds, 6))

@@ -32,6 +32,7 @@ from tests.estimation.monitoring.check.conftest import (
     moved_base,
     with_parameter,
 )
+from tests.sure import sure
 from tests.twin import small_twin
 
 PLANNED = 16
@@ -60,8 +61,7 @@ def test_unchanged_cell_is_valid_before_the_last_stop(cell: str, request: pytest
     assert not test.state.changed
     for arm in found.arms.values():
         assert arm.rms_mm == pytest.approx(arm.expected_mm, rel=0.5)
-        assert arm.left_mm is not None
-        assert arm.left_mm < 0.02
+        assert sure(arm.left_mm) < 0.02
 
 
 @pytest.mark.parametrize(
@@ -78,13 +78,10 @@ def test_changed_parameter_is_named_with_its_size(pair: SimulatedCell, word: str
     assert found.verdict == "arm changed"
     (one,) = found.changes
     assert (one.arm, one.what) == ("left", what)
-    assert one.value is not None
-    assert one.standard_error is not None
-    assert abs(one.value - change) < 4.0 * one.standard_error
+    assert abs(sure(one.value) - change) < 4.0 * sure(one.standard_error)
     assert one.p_value < 1e-4
     assert found.arms["left"].left_mm == pytest.approx(one.moved_mm, rel=0.1)
-    assert found.arms["right"].left_mm is not None
-    assert found.arms["right"].left_mm < 0.02
+    assert sure(found.arms["right"].left_mm) < 0.02
 
 
 @pytest.mark.parametrize(("word", "joint"), [SLOWLY("theta5", 5), ("theta6", 6)])
@@ -110,10 +107,9 @@ def test_moved_tracker_is_solved_for(pair: SimulatedCell, size: float) -> None:
     changed = {name: moved_base(true, shift, rotation) for name, true in pair.true.items()}
     found, _ = checked(pair, changed)
     assert found.verdict == "tracker moved"
-    assert found.T_new_old is not None
     points = pair.belief.arms["left"].measured.readings.p_M
     true = apply(transform(rotation_from_vector(rotation), shift), points)
-    assert np.linalg.norm(apply(np.array(found.T_new_old), points) - true, axis=1).max() < 6e-5
+    assert np.linalg.norm(apply(np.array(sure(found.T_new_old)), points) - true, axis=1).max() < 6e-5
 
 
 @pytest.mark.parametrize("size", [SLOWLY(2e-4), 0.02], ids=["small", "large"])
