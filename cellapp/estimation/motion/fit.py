@@ -351,8 +351,6 @@ _USUALLY = 0.75
 stated both for arms with effects and for arms without."""
 _NOTHING = 1e8
 """Precision of a law that is absent, in units of the inverse square of the standard deviation of its term."""
-_FEWEST_FREE = 4.0
-"""Least degrees of freedom of the variances of the discrepancy."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -375,11 +373,6 @@ class _Seen:
     level: tuple[float, ...]
     precision: Array
     pull: Array
-
-    @property
-    def freedom(self) -> float:
-        """Degrees of freedom left in the functions of posture by the parameters."""
-        return max(len(self.r) - float(np.count_nonzero(~self.laws)), _FEWEST_FREE)
 
     @cached_property
     def _rest(self) -> Array:
@@ -464,11 +457,10 @@ def allow_for_missing(problem: MotionProblem, solution: Solution, *, with_clocks
     values[clocks] += change
     normal = solution.information + np.diag(solution.precision)
     values[of_arm] -= solve_psd(normal[np.ix_(of_arm, of_arm)], normal[np.ix_(of_arm, clocks)] @ change)
-    covariance, freedom = arm.covariance.copy(), arm.freedom.copy()
+    covariance = arm.covariance.copy()
     covariance[clocks] = covariance[:, clocks] = 0.0
     covariance[np.ix_(clocks, clocks)] = of_clocks.covariance[np.ix_(theirs, theirs)]
-    freedom[clocks] = of_clocks.freedom[theirs]
-    return replace(solution, values=values, noise=replace(arm, covariance=covariance, freedom=freedom))
+    return replace(solution, values=values, noise=replace(arm, covariance=covariance))
 
 
 def _noise_of_fit(
@@ -560,13 +552,13 @@ def _as_fitted(seen: _Seen, missing: _Missing) -> Modelled:
     everywhere = seen.X.T @ seen.X + sum(bands.gram.sum(axis=0) for bands in seen.rest)
     by_law = everywhere[np.ix_(seen.laws, fitted)]
     spread = (X * missing.variance[:, None]).T @ X + (by_law / missing.precision[:, None]).T @ by_law
-    return Modelled(X.T @ X, spread, seen.freedom)
+    return Modelled(X.T @ X, spread)
 
 
 def _weighed(seen: _Seen, missing: _Missing) -> tuple[Array, NoiseModel]:
     """Return the generalised least squares step of all columns from the solution, and its noise model."""
     normal, of_posture, own = seen.equations(missing)
-    A, known = normal[:-1, :-1], Modelled(of_posture[:-1, :-1], of_posture[:-1, :-1], seen.freedom)
+    A, known = normal[:-1, :-1], Modelled(of_posture[:-1, :-1], of_posture[:-1, :-1])
     unit, H = with_priors(A, own)
     step = unit * solve_psd(H, unit * (normal[:-1, -1] + seen.pull))
     return step, noise_model(seen.rest, [1.0 / its for its in seen.level], step, own, A, known)

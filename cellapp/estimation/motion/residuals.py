@@ -32,7 +32,6 @@ from cellapp.robot.kinematics.transforms import Array
 #
 # which is solved for s (Rao, J. Multivar. Anal. 1 (1971) 257: minimum norm quadratic unbiased estimation), so that the
 # part absorbed by the fit is restored. The covariance of the estimate is ``L^-T (sum_b s_b G_b + L^-1 P L^-T) L^-1``.
-# Intervals use Student's t with the degrees of freedom of Satterthwaite, Biometrics Bull. 2 (1946) 110.
 
 _PER_OCTAVE = 2
 """Bands of frequency per octave."""
@@ -121,12 +120,11 @@ def bands_of(X: Array, columns: NDArray[np.intp], r: Array, *, in_time: bool) ->
 
 @dataclass(frozen=True, eq=False)
 class Modelled:
-    """Residuals with a covariance from elsewhere, in no band: their ``X^T X`` (K, K), the covariance of their ``X^T r``
-    (K, K), and the degrees of freedom of its estimate."""
+    """Residuals with a covariance from elsewhere, in no band: their ``X^T X`` (K, K), and the covariance of their ``X^T
+    r`` (K, K)."""
 
     information: Array
     spread: Array
-    freedom: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,15 +134,12 @@ class NoiseModel:
     Attributes
     ----------
     covariance : array, shape (k, k)
-    freedom : array, shape (k,)
-        Degrees of freedom of each parameter's variance.
     level : tuple of float
         Variance of a weighted residual of each source as it affects the parameters: the mean of the band variances,
         weighted by the information in each band. It is 1 if weights are right.
     """
 
     covariance: Array = field(repr=False)
-    freedom: Array = field(repr=False)
     level: tuple[float, ...]
 
 
@@ -183,7 +178,7 @@ def noise_model(
     root = scipy.linalg.solve_triangular(L, np.diag(unit), lower=True)  # L^-1 in the parameters' units
     by_source = [_joined_bands(source, worth, step, root) for source, worth in zip(sources, worths, strict=True)]
     count, grams, energy = (np.concatenate(arrays) for arrays in zip(*by_source, strict=True))
-    s, freedom = _variances(count, grams, energy)
+    s = _variances(count, grams, energy)
     of_source = np.split(np.arange(len(s)), np.cumsum([len(its) for its, *_ in by_source])[:-1])
     # the part of the columns lost by averaging over neighbours is faster than all bands
     averaged_out = (root @ information) @ root.T - grams.sum(axis=0)
@@ -195,19 +190,10 @@ def noise_model(
         uneven[source.columns] = np.maximum(uneven[source.columns], source.uneven)
     covariance = (root.T @ inner @ root) * np.sqrt(np.outer(uneven, uneven))
     covariance = covariance + root.T @ ((root * precision) @ root.T) @ root
-    shares = np.sum(root * (grams @ root), axis=1) * s[:, None] * uneven
-    own = np.sum(shares**2 / freedom[:, None], axis=0)
     if modelled is not None:
         by_step = root.T @ root
-        more = by_step @ modelled.spread @ by_step
-        covariance = covariance + more
-        own = own + np.diag(more) ** 2 / modelled.freedom
-    variance = np.diag(covariance)
-    return NoiseModel(
-        covariance,
-        np.clip(variance**2 / np.maximum(own, 1e-300), 1.0, 1e6),
-        tuple(_level(grams[own], s[own]) for own in of_source),
-    )
+        covariance = covariance + by_step @ modelled.spread @ by_step
+    return NoiseModel(covariance, tuple(_level(grams[own], s[own]) for own in of_source))
 
 
 def whitening_filter(r: Array, period_s: float) -> Array:
@@ -238,13 +224,12 @@ def _joined_bands(source: Bands, worth: float, step: Array, root: Array) -> tupl
     return count, grams, energies
 
 
-def _variances(count: Array, grams: Array, energy: Array) -> tuple[Array, Array]:
-    """Return the variance of each band, and its degrees of freedom."""
+def _variances(count: Array, grams: Array, energy: Array) -> Array:
+    """Return the variance of each band."""
     absorbed, flat = grams.trace(axis1=1, axis2=2), grams.reshape(len(grams), -1)
-    freedom = np.maximum(count - absorbed, 1.0)
     s = np.linalg.lstsq(np.diag(count - 2.0 * absorbed) + flat @ flat.T, energy, rcond=None)[0]
-    plain = energy / freedom
-    return np.asarray(np.where(s > _LEAST_SHARE * plain, s, plain)), freedom
+    plain = energy / np.maximum(count - absorbed, 1.0)
+    return np.asarray(np.where(s > _LEAST_SHARE * plain, s, plain))
 
 
 def _level(grams: Array, s: Array) -> float:
