@@ -182,7 +182,7 @@ def test_tolerances_are_predicted_measured_and_complained_about(run: RunFile, mo
 
 
 def test_results_of_earlier_versions_are_read(run: RunFile, commands: tuple[Command, ...]) -> None:
-    new = {"position", "rpy", "tolerance_mm", "uncertainty_mm", "verdict"}
+    new = {"position", "rpy", "tolerance_mm", "uncertainty_mm", "verdict", "definition"}
     content = json.loads(CompensateResult(targets=tuple(map(command_record, commands[:2]))).to_json())
     content["targets"] = [
         {key: value for key, value in target.items() if key not in new} for target in content["targets"]
