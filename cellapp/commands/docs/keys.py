@@ -23,6 +23,7 @@ KEYS: Mapping[str, Key] = {
     "abort": Key("x", "x", "end the job; Ctrl-X does so over a dialog, too"),
     "next": Key("n", "n", "do the step that comes next: show its screen; there, begin it"),
     "go": Key("b", "b", "begin the work of the screen"),
+    "last": Key("a", "a", "go on with the last run: open it"),
     "runs": Key("8", "8", "all runs: open one, its report"),
     "day": Key("f5", "F5", "the whole day in a new run; asks first"),
     "open": Key("o", "o", "open a profile or a list; of a run, say where its page is"),

@@ -40,10 +40,11 @@ from textual.theme import Theme
 from cellapp.commands.docs.keys import KEYS, SHOWN
 from cellapp.commands.registry import ALL
 from cellapp.interfaces.tui import terminal
+from cellapp.interfaces.tui import verb_jobs as jobs_of_verbs
 from cellapp.interfaces.tui.confirmations import QuitQuestion, offer_at_rest, offer_to_quit, offer_whole_day
 from cellapp.interfaces.tui.dialogs.program import MotionQuestion, Palette, possible_commands
 from cellapp.interfaces.tui.dialogs.question import Reading
-from cellapp.interfaces.tui.host import Host, LeaveAsked, Severity, StopGiven, WorkspaceLoaded
+from cellapp.interfaces.tui.host import Host, LastRunRead, LeaveAsked, Severity, StopGiven, WorkspaceLoaded
 from cellapp.interfaces.tui.job_outcome import ENDED, LEFT, UNEXPECTED, Leaving, ending_of, left_behind
 from cellapp.interfaces.tui.jobs import JobEnded, MotionAsked
 from cellapp.interfaces.tui.keys import bind, key_table, with_keys
@@ -55,7 +56,7 @@ from cellapp.interfaces.tui.terminal import driver_that_stops
 from cellapp.interfaces.tui.widgets.arm_panel import LiveStrip
 from cellapp.interfaces.tui.widgets.controls import Line
 from cellapp.interfaces.tui.widgets.header import StepTab
-from cellapp.interfaces.tui.workspace import Step, holds_run, load_workspace
+from cellapp.interfaces.tui.workspace import Step, holds_run, last_run, load_workspace
 
 _RESUMES = f"{SHOWN['pause']} or {SHOWN['resume']}"
 _RESUME_WHEN_CLEAR = f"{SHOWN['resume']}: resume when the cell is clear"
@@ -208,7 +209,7 @@ HIGH_CONTRAST = Theme(
 
 
 _REQUESTS = ("stop", "stop_job", "pause", "resume", "abort")
-_OWN = ("show", "runs", "next_step", "whole_day", "explain", "handbook", "quit", *_REQUESTS)
+_OWN = ("show", "last_run", "runs", "next_step", "whole_day", "explain", "handbook", "quit", *_REQUESTS)
 _ALWAYS = ("stop", "stop_job", "abort", "leave")
 """Actions that stay available over an open dialog."""
 _DRAWING_S = 0.1
@@ -263,6 +264,7 @@ class CellApp(JobKeys):
         bind("abort", "abort", "Abort"),
         Binding("ctrl+x", "abort", show=False, priority=True),
         *(Binding(entry.key, f"show('{entry.step}')", entry.title, show=False) for entry in SCREENS),
+        bind("last", "last_run", "Last run", show=False),
         bind("runs", "runs", "All runs", show=False),
         bind("day", "whole_day", "Day", "plan, collect, calibrate, discover, push and verify; asks first"),
         bind("next", "next_step", "Next", "show the step that comes next; there, begin it"),
@@ -317,6 +319,8 @@ class CellApp(JobKeys):
     def on_mount(self) -> None:
         """Show the first screen of the day, and start the timers."""
         self.register_theme(HIGH_CONTRAST)
+        self.last_run = last_run(self.logs)
+        self.waits = "" if self.last_run is None else str(self.last_run)
         self.push_screen(self._screen_of("cell"))
         self.call_after_refresh(self._welcome)
         self.set_interval(_DRAWING_S, self._draw_events)
@@ -340,6 +344,8 @@ class CellApp(JobKeys):
             importlib.import_module(module)
         gc.collect()
         gc.freeze()  # exempt loaded objects from collection: scanning them held up keys for up to 0.3 s
+        if self.last_run is not None:
+            self.post_message(LastRunRead(jobs_of_verbs.words_of_run(self.last_run)))
 
     def on_unmount(self) -> None:
         """Brake all arms and end the job, however the screen closes: no job continues unseen."""
@@ -428,6 +434,13 @@ class CellApp(JobKeys):
         elif not screen.begin_next("cellapp plan" if overview is None else overview.next_step):
             self.say(f"{self.state.next_words}.")
 
+    def action_last_run(self) -> None:
+        """Open the run that was changed last when the application began."""
+        if self.last_run is None:
+            self.say("There is no run yet.", "warning")
+        else:
+            self.open_run(self.last_run, self.workspace.profile_path)
+
     def action_runs(self) -> None:
         """List all runs."""
         self.action_show("cell")
@@ -478,6 +491,12 @@ class CellApp(JobKeys):
     def open_profile(self, path: Path) -> None:
         """Open a profile without a run."""
         self._load(path, None)
+
+    @on(LastRunRead)
+    def say_last_run(self, event: LastRunRead) -> None:
+        """Say more of the last run, in the line that names it."""
+        self.waits = event.words
+        self.draw_all()
 
     def open_run(self, folder: Path, profile_path: Path | None = None) -> None:
         """Open a run; its own profile is used."""

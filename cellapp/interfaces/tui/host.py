@@ -48,6 +48,14 @@ class WorkspaceLoaded(Message):
         self.workspace = workspace
 
 
+class LastRunRead(Message):
+    """What is known of the last run, in words."""
+
+    def __init__(self, words: str) -> None:
+        super().__init__()
+        self.words = words
+
+
 class ShowsResults(Protocol):
     """A screen that draws the result of a job that it started."""
 
@@ -66,6 +74,10 @@ class Host(App[None]):
         The screen that started the current job; it gets the result, whichever screen is shown then.
     code : int
         Exit code of the last job.
+    last_run : Path or None
+        The run that was changed last when the application began.
+    waits : str
+        That run in words; empty if there is none.
     reading : str
         Sentence that the first profile, or the result of the last job, is being read; empty when it is read.
     """
@@ -79,15 +91,16 @@ class Host(App[None]):
         self.presses = StopPresses(self.jobs)
         self.asked_by: ShowsResults | None = None
         self.code = 0
-        self.reading = ""
+        self.last_run: Path | None = None
+        self.waits = self.reading = ""
         self._state: tuple[tuple[object, ...], RunState] | None = None
 
     @property
     def state(self) -> RunState:
         """The only state of the open run and the job; derived once for each change of its inputs."""
-        known = (self.workspace, self.record.changes, self.jobs.job, self.reading)
+        known = (self.workspace, self.record.changes, self.jobs.job, self.waits, self.reading)
         if self._state is None or any(one is not other for one, other in zip(known, self._state[0], strict=True)):
-            self._state = known, run_state(self.workspace, self.record, self.jobs.job, self.reading)
+            self._state = known, run_state(self.workspace, self.record, self.jobs.job, self.waits, self.reading)
         return self._state[1]
 
     def start_job(self, job: Job, cell: Workspace | None = None) -> bool:

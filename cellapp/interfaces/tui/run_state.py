@@ -57,13 +57,14 @@ def next_step(workspace: Workspace) -> Step:
     return step_of(workspace.overview.next_verb) or "cell"
 
 
-def _next_words(workspace: Workspace) -> str:
+def _next_words(workspace: Workspace, waits: str) -> str:
     """Return what comes next and the key that goes there."""
     key, words = SHOWN["next"], "" if workspace.overview is None else workspace.overview.next_step
+    last = f"; {SHOWN['last']} goes on with the last run, {waits}" if waits and workspace.folder is None else ""
     if workspace.profile is None:
-        return f"Next: choose a profile; {SHOWN['runs']} lists all runs"
+        return f"Next: choose a profile{last}"
     if workspace.overview is None:
-        return f"Next ({key}): plan a run; {SHOWN['runs']} lists all runs"
+        return f"Next ({key}): plan a run{last}"
     if workspace.read_only:
         return "Next: copy the run to go on with it; this folder cannot be written"
     if not words:
@@ -236,8 +237,13 @@ class RunState:
         return self.not_calibrated or else_
 
 
-def run_state(workspace: Workspace, record: JobRecord, running: Job | None = None, reading: str = "") -> RunState:
-    """Return the state of the open run and the running job; ``reading`` says what is not read yet."""
+def run_state(
+    workspace: Workspace, record: JobRecord, running: Job | None = None, waits: str = "", reading: str = ""
+) -> RunState:
+    """Return the state of the open run and the running job.
+
+    ``waits`` is the run that was open last, in words; ``reading`` says what is not read yet.
+    """
     job = _job_now(record, running)
     here = job is not None and (job.folder is None or job.folder == workspace.folder)
     stops = () if workspace.stops is None or workspace.profile is None else workspace.stops.stops
@@ -259,7 +265,7 @@ def run_state(workspace: Workspace, record: JobRecord, running: Job | None = Non
         measured=measured,
         remaining=todo,
         job=job,
-        next_words=_next_words(workspace),
+        next_words=_next_words(workspace, waits),
         reading="" if running is not None else reading,
     )
 

@@ -87,3 +87,14 @@ def own_readings(request: InitRequest) -> Job:
         return imported.model_copy(update={"notes": (*written.notes, *imported.notes)})
 
     return Job("import", work, folder)
+
+
+def words_of_run(folder: Path) -> str:
+    """Return a run and what remains of it, in words. Call it in a separate thread."""
+    from cellapp.commands.runs.run import summarise
+    from cellapp.ground.counting import counted
+
+    run = summarise(folder)
+    if run.resumable:
+        return f"{folder}: {counted(run.stops_left, 'stop')} left"
+    return f"{folder}: in use by {run.in_use}" if run.in_use else str(folder)

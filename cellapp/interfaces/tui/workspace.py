@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from cellapp.ground.errors import CellappError, InputError
-from cellapp.ground.job_client import who_uses
+from cellapp.ground.job_client import JOB_FILE, who_uses
 
 if TYPE_CHECKING:
     from cellapp.cell.planning.planned_stops import PlannedStops
@@ -134,6 +135,19 @@ def holds_run(folder: Path | None) -> bool:
     from cellapp.cell.run.sqlite_file import FILE_NAME
 
     return folder is not None and (folder / FILE_NAME).is_file()
+
+
+_SQLITE = b"SQLite format 3"
+
+
+def last_run(logs: Path) -> Path | None:
+    """Return the run below a folder that was changed last, before all one with a job; quickly, without reading any."""
+    found = []
+    for file in logs.glob("*/run.sqlite"):
+        with suppress(OSError), file.open("rb") as opened:
+            if opened.read(len(_SQLITE)) == _SQLITE:
+                found.append(((file.parent / JOB_FILE).exists(), file.stat().st_mtime, file.parent))
+    return max(found, default=(False, 0.0, None))[2]
 
 
 def load_workspace(profile_path: Path | None, folder: Path | None) -> Workspace:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
+import threading
 from dataclasses import replace
 from pathlib import Path
 from typing import get_args
@@ -17,6 +18,7 @@ from textual.widgets import Tree
 
 from cellapp.commands.docs.keys import KEYS, filled_keys
 from cellapp.commands.stages import NextVerb, next_command
+from cellapp.interfaces.tui import verb_jobs
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.program import possible_commands
 from cellapp.interfaces.tui.dialogs.question import Choice
@@ -39,6 +41,7 @@ from tests.interfaces.tui.pilot import (
     opened,
     running,
     shown_text,
+    shows,
     tells,
     until,
 )
@@ -174,6 +177,24 @@ async def test_the_next_step_is_begun_where_its_screen_is_shown() -> None:
         await pilot.press("n")
         await until(pilot, lambda: isinstance(app.screen, Choice), "the question of the step")
         assert "Measure the 2 stops that are left" in " ".join(shown_text(app).split())
+
+
+async def test_the_last_run_stands_on_the_first_screen_and_what_is_read_of_it_takes_no_key(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    collected_run(RUN, "stopped")
+    read, words_of_run = threading.Event(), verb_jobs.words_of_run
+    monkeypatch.setattr(verb_jobs, "words_of_run", lambda folder: words_of_run(folder) if read.wait(WAIT_S) else "")
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await shows(pilot, "a goes on with the last run, logs/day")
+        await pilot.press("2")
+        read.set()
+        await shows(pilot, "a goes on with the last run, logs/day: 2 stops left")
+        assert app.screen is app.day_screen
+        assert app.day_screen.STEP == "plan"
+        await pilot.press("a")
+        await until(pilot, lambda: app.workspace.folder == RUN, "the run")
 
 
 NEXT = (

@@ -10,7 +10,7 @@ from textual import on
 from textual.app import ComposeResult
 from textual.binding import BindingType
 from textual.containers import Horizontal, Vertical
-from textual.widgets import OptionList, TabbedContent, TabPane
+from textual.widgets import OptionList, Static, TabbedContent, TabPane
 
 from cellapp.commands.docs.keys import SHOWN
 from cellapp.commands.doctor.request import VERB as DOCTOR
@@ -66,11 +66,12 @@ class CellScreen(DayScreen):
             with Vertical(id="cell-middle"):
                 yield Line(id="cell-verdict")
                 with TabbedContent(id="cell-tabs", initial="tab-profile"):
-                    yield TabPane("Profile", id="tab-profile")
-                    yield TabPane("Doctor", id="tab-doctor")
+                    # an empty pane would show its own name
+                    yield TabPane("Profile", Static(classes="nothing"), id="tab-profile")
+                    yield TabPane("Doctor", Static(classes="nothing"), id="tab-doctor")
                     with TabPane("Map", id="tab-map"):
                         yield CellMap(id="cell-map")
-                    yield TabPane("Runs", id="tab-runs")
+                    yield TabPane("Runs", Static(classes="nothing"), id="tab-runs")
 
     def on_mount(self) -> None:
         """List the profiles and open the first one."""
