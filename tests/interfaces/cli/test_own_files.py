@@ -153,7 +153,9 @@ def test_the_posture_is_the_one_that_was_measured(call: Any) -> None:
     assert "posture (17, -69, 92, -57, 69, 11) deg, the only one within the ranges" in " ".join(found.out.split())
     refused = call("compensate", "wide", "a.script", "--out", "c.script")
     assert (refused.code, Path("c.script").exists()) == (2, False)
-    assert "postures reach it, (17, -69, 92, -57, 69, 11)" in " ".join(refused.out.split())
+    assert "2 postures reach it, (-141, -210, 80, -18, 93, 179), (17, -69, 92, -57, 69, 11) deg" in " ".join(
+        refused.out.split()
+    )
 
 
 def test_sigma_is_the_targets_own_and_what_is_common_stands_once(call: Any) -> None:
