@@ -85,9 +85,7 @@ def summary(results: list[dict[str, Any]], asked: argparse.Namespace) -> Evidenc
     ]
     if ACCEPTED in scores:
         limits.append(Limit("Brier score of accepted names", scores[ACCEPTED].brier, MOST_BRIER))
-    seconds = [arm.seconds for run in every for arm in run.arms.values()]
-    said = f"Discovery of an arm: median {np.median(seconds):.1f} s, longest {max(seconds):.1f} s by the clock."
-    return Evidence(tables=[Table("", [*columns, "Brier score"], rows)], limits=limits, said=[said])
+    return Evidence(tables=[Table("", [*columns, "Brier score"], rows)], limits=limits)
 
 
 def _shares(runs: list[ScoredRun]) -> tuple[Share, Share, Share, Share]:

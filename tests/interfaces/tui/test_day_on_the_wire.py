@@ -181,7 +181,7 @@ def test_a_closed_terminal_stops_the_arms_and_the_next_start_goes_on_with_the_ru
         terminal.send("b")
         shows(terminal, "Begin to collect?")
         terminal.send("b")
-        shows(terminal, f"collect 2/{STOPS}")
+        shows(terminal, f" 2/{STOPS} ")
         terminal.hang_up()
         assert terminal.process.wait(WAIT_S) == 4
     assert cell.wait_at_rest(0.0), "the program waits for the arms"
