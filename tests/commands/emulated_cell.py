@@ -32,6 +32,7 @@ _STALLED = (
     "its driver process did not answer",
     "no answer from the tracker within",
     "no state came for",
+    "its controller has not answered a command",
 )
 """What stops the arms where other programs take the processor for some tenths of a second; bridge and emulated
 controllers are on it, too."""

@@ -18,9 +18,8 @@ from cellapp.ground.results import Record, Result, StageName
 class StageState(Record):
     """One stored stage: when and by which version it was stored, what it rests on, and whether that still holds.
 
-    ``out_of_date`` is the reason, None where the
-    stage holds; ``superseded`` says that a later stage of the same name exists. A step of which only an earlier version
-    knew has its name.
+    ``out_of_date`` is the reason, None where the stage holds; ``superseded`` says that a later stage of the same name
+    exists. A step of which only an earlier version knew has its name.
     """
 
     number: int
