@@ -50,7 +50,6 @@ COMMANDS: Mapping[str, str] = {
 }
 """Name of a removed command, as it is typed -> what to do instead."""
 PROFILE_KEYS: Mapping[str, str] = {
-    "discovery.network": "delete it; what no law describes is a data-driven or the unnamed term, no network",
     "plant.torques": "leave it out; masses are those that the profile states",
     "notify": "delete it; in a script, call your command after 'cellapp collect DIR' by its exit code",
     "arms.*.driver.trigger_output": "delete it; the motion tells the offset of the clocks",

@@ -74,12 +74,13 @@ class LiveSweep:
 
         ``s_s`` (m,) are times of the motion [s], one per ``period_s`` [s].
         """
-        began_s: list[float] = []
+        began_s: float | None = None
 
         def look() -> None:
+            nonlocal began_s
             now_s = clock.now_s()
-            began_s.append(now_s)
-            done_s = np.interp((now_s - began_s[0]) / period_s, np.arange(len(s_s)), s_s)
+            began_s = now_s if began_s is None else began_s
+            done_s = np.interp((now_s - began_s) / period_s, np.arange(len(s_s)), s_s)
             self._say(replace(self.so_far, state=state, done_s=float(done_s)))
 
         return look

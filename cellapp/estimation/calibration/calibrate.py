@@ -717,8 +717,15 @@ def rotation_network(profile: Profile, model: ArmModel, taught: Quantities, step
     if taught.angular is None or np.count_nonzero(taught.angular) < 2 * profile.network.folds:
         return None
     some, conditions = taught.readings.take(taught.angular), taught.conditions.take(taught.angular)
-    residual_B = -model.predict(some.q, conditions=conditions) @ model.geometry.T_M_B()[:3, :3]
-    return learn(profile.network, some.q, residual_B, some.time_s, seed=profile.seed, steps=steps).network
+    return network_of_residuals(profile, model, some, -model.predict(some.q, conditions=conditions), steps)
+
+
+def network_of_residuals(
+    profile: Profile, model: ArmModel, readings: Readings, residual_M: Array, steps: JobSteps
+) -> ResidualNetwork | None:
+    """Train a network on residuals ``residual_M`` (n, 3) [m, rad]; None if it predicts left-out ones no better."""
+    residual_B = residual_M @ model.geometry.T_M_B()[:3, :3]
+    return learn(profile.network, readings.q, residual_B, readings.time_s, seed=profile.seed, steps=steps).network
 
 
 def with_networks(

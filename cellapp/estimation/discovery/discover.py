@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,10 +15,13 @@ from cellapp.estimation.calibration.calibrate import (
     gross_errors_of_geometry,
     gross_errors_of_model,
     left_out_words,
+    network_of_residuals,
     rms_length_mm,
+    rotation_network,
     without,
 )
 from cellapp.estimation.calibration.least_squares import mean_variance
+from cellapp.estimation.calibration.network_training import learning_steps
 from cellapp.estimation.calibration.pair_calibration import calibrate_pair
 from cellapp.estimation.calibration.quantities import ArmReadings, states_nothing
 from cellapp.estimation.discovery.accepted import accepted_effects, pictures
@@ -72,22 +76,54 @@ def discover_cell(
     """
     readings = {name: one_a_stop(its) for name, its in readings.items()}
     searched = ArmReadings.of_cell(profile, model.arms, readings)
-    total = SEARCH_STEPS * len(searched) + 1
-    progress, arms = SharedProgress(job, "discover", 0, total), dict[str, ArmFound]()
-    for name, arm in searched.items():
-        steps = progress.part(f"arm {name}")
-        steps(0, "search")
-        steps.check()
-        arms[name] = (search_arm or discover_arm)(arm, steps)
-        steps(SEARCH_STEPS, arms[name].result.verdict)
+    arms = _discover_arms(profile, searched, job, search_arm or discover_arm)
     pair = None
     if any(discovery.terms for discovery in arms.values()):
         good = {name: without(readings[name], found.result.left_out_configurations) for name, found in arms.items()}
         pair, _ = calibrate_pair(profile, good, {name: found.model for name, found in arms.items()})
     T_R_L = model.T_R_L if pair is None else pair.T_R_L
     model = replace(model, arms={name: found.model for name, found in arms.items()}, T_R_L=T_R_L)
+    total = _total_steps(profile, len(arms))
     job.tell("discover", total, total, "done")
     return CellDiscovery(arms, model, pair)
+
+
+def _total_steps(profile: Profile, arms: int) -> int:
+    """Count the steps that discovery reports: search of every arm, training where it may be needed, and the pair."""
+    training = learning_steps(profile.network) if _may_train(profile) else 0
+    return (SEARCH_STEPS + training) * arms + 1
+
+
+def _may_train(profile: Profile) -> bool:
+    return profile.network.kind != "none" and profile.discovery.network != "never"
+
+
+def _discover_arms(
+    profile: Profile, arms: Mapping[str, ArmReadings], job: JobToken, search_arm: ArmSearch
+) -> dict[str, ArmFound]:
+    found: dict[str, ArmFound] = {}
+    total = _total_steps(profile, len(arms))
+    searched = SharedProgress(job, "discover", 0, total)
+    for name, arm in arms.items():
+        steps = searched.part(f"arm {name}")
+        steps(0, "search")
+        steps.check()
+        found[name] = search_arm(arm, steps)
+        steps(SEARCH_STEPS, found[name].result.verdict)
+    if not _may_train(profile):
+        return found
+    trained = SharedProgress(job, "discover", SEARCH_STEPS * len(arms), total)
+    with ThreadPoolExecutor(max_workers=2) as pool:  # the matrix products work outside the interpreter lock
+        tasks = {}
+        for name, discovery in found.items():
+            steps = trained.part(f"arm {name}")
+            if not needs_network(profile, discovery):
+                steps(learning_steps(profile.network), "no network is needed")
+                continue
+            steps(0, "residual network beside the effects")
+            good = ~np.isin(arms[name].readings.configuration, discovery.result.left_out_configurations)
+            tasks[name] = pool.submit(with_network, arms[name].take(good), discovery, steps)
+        return {**found, **{name: task.result() for name, task in tasks.items()}}
 
 
 def discover_arm(
@@ -328,3 +364,42 @@ def _gap_steps(
     if fitted is not None:
         errors.append((f"fitted to all {counted(fitted, 'reading')}", "", after_mm))
     return tuple(GapStep(what=what, effect=effect, heldout_mm=error_mm) for what, effect, error_mm in errors)
+
+
+# -- Residual network after discovery: a model of effects without a name ----------------------------------------------
+
+
+_READINGS_A_FOLD = 2
+"""Least number of readings for each fold of a network's training: one reading has no scatter."""
+
+
+def needs_network(profile: Profile, discovery: ArmFound) -> bool:
+    """Return whether the profile asks for a network beside the effects of this outcome, of which one stays unknown.
+
+    There is none beside effects from recordings: samples of motion contain what no pose at rest has.
+    """
+    found = discovery.result
+    if (found.motion is not None and found.motion.used) or (found.unnamed is not None and found.unnamed.in_force):
+        return False
+    asked = profile.network.kind != "none" and profile.discovery.network != "never"
+    return asked and bool(discovery.terms) and found.verdict == "unknown effect"
+
+
+def with_network(arm: ArmReadings, discovery: ArmFound, steps: JobSteps = UNTOLD) -> ArmFound:
+    """Add to the model a network for what the accepted effects leave.
+
+    It joins only if it predicts the left-out folds of its training readings better than none. Held-out readings judge
+    the result; they do not select it.
+    """
+    learnt = replace(arm, model=discovery.model).take(arm.readings.in_split("identify", "train"))
+    readings = learnt.readings
+    if len(readings) < _READINGS_A_FOLD * arm.profile.network.folds:
+        return discovery
+    residual_M = readings.p_M - learnt.model.predict(readings.q, conditions=learnt.conditions)
+    network = network_of_residuals(arm.profile, learnt.model, readings, residual_M, steps)
+    if network is None:
+        return discovery
+    network = replace(network, rotation=rotation_network(arm.profile, discovery.model, learnt.quantities(), steps))
+    model, held_out = replace(discovery.model, network=network), HeldOut.of(arm.readings, arm.conditions)
+    step = GapStep(what="a network for the rest", effect="", heldout_mm=held_out.position_mm(model).rms)
+    return discovery.with_model(model, held_out, steps=(*discovery.result.steps, step))

@@ -330,11 +330,18 @@ class Pair(Section):
 
 
 class DiscoverySettings(Section):
-    """Search for missing effects: false-alarm rate of the whole scan, and the simulations that set its threshold."""
+    """Search for missing effects: false-alarm rate of the whole scan, and the simulations that set its threshold.
+
+    ``network`` says whether a residual network learns what the accepted effects leave where an effect stays unknown.
+    Earlier profiles have ``always``, by which one was trained for comparison alone where the effects explained all.
+    """
 
     false_alarm: Annotated[float, Field(strict=True, gt=0.0, lt=0.5)] = 0.003
     null_simulations: Annotated[int, Field(strict=True, ge=20, le=100_000)] = 400
     folds: Annotated[int, Field(strict=True, ge=2, le=50)] = 5
+    network: Annotated[
+        Literal["unknown", "never"], BeforeValidator(lambda value: "unknown" if value == "always" else value)
+    ] = "unknown"
 
 
 class GeometryErrors(GrownSection):

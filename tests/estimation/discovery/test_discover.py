@@ -358,7 +358,7 @@ def both():
     geometry, q, true, rng = turned_arm(180, 1)
     readings = readings_of(geometry, q, true, rng)
     profile = twin()
-    profile = altered(profile, discovery={"null_simulations": 100})
+    profile = altered(profile, discovery={"null_simulations": 100, "network": "never"})
     found = {}
     for name, its in (("both", readings), ("points", replace(readings, quaternion_M=None, sigma_rad=None))):
         arm, _ = calibrate_arm(profile, "left", its)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,10 +15,11 @@ from scipy.stats import multivariate_normal, pearson3
 
 from cellapp.cell.planning.plan import plan_stops
 from cellapp.cell.profile import load_profile
+from cellapp.commands.trials.blind import blind_readings, with_hidden
 from cellapp.estimation.calibration.calibrate import calibrate_arm, gross_errors
 from cellapp.estimation.calibration.quantities import ArmReadings
 from cellapp.estimation.discovery.arm_data import ArmData
-from cellapp.estimation.discovery.discover import discover_arm
+from cellapp.estimation.discovery.discover import discover_arm, needs_network, with_network
 from cellapp.estimation.discovery.joint_fit import (
     _FOLD_SEED,
     JointFit,
@@ -35,9 +38,11 @@ from cellapp.estimation.discovery.process import (
 )
 from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.verdict import CHANCE, has_structure, pearson3_tail, residual_structure
+from cellapp.ground.profile.schema import DiscoverySettings
 from cellapp.robot.effects import ActsOn, EffectColumn, LawForm
 from cellapp.robot.effects.context import Wave
 from cellapp.robot.kinematics.chain import smr_positions
+from cellapp.robot.model.model import network_to_json
 from tests.estimation.discovery.problems import arm_of, data_of
 from tests.evidence.shared.series import load_entrant
 from tests.sure import sure
@@ -226,6 +231,74 @@ def test_discovery_of_a_real_arm_bears_gross_errors() -> None:
     disturbed_mm, plain_mm = (one.result.heldout_position_mm for one in (disturbed, plain))
     assert sure(disturbed_mm).after.mean < 1.05 * sure(plain_mm).after.mean
     assert "3 readings with gross errors were left out (configurations 80, 320, 640)" in disturbed.result.sentence
+
+
+# -- A network beside the effects: trained where the profile asks, chosen by left-out folds, not by held-out readings --
+
+PROFILE_OF_REMAINING_NETWORK = load_profile(Path(__file__).parents[3] / "profiles" / "twin.yaml")
+COMPLIANT = {"left": {"joint_compliance": {"stiffness": [9.0e4, 6.0e4, 3.5e4, 1.2e4, 1.2e4, 1.2e4]}}}
+
+
+def asking(network, kind="mlp"):
+    return PROFILE_OF_REMAINING_NETWORK.model_copy(
+        update={
+            "discovery": PROFILE_OF_REMAINING_NETWORK.discovery.model_copy(update={"network": network}),
+            "network": PROFILE_OF_REMAINING_NETWORK.network.model_copy(update={"kind": kind}),
+        }
+    )
+
+
+@pytest.fixture(scope="module")
+def searched(plan):
+    """The left arm with compliance: its readings, its calibrated model, and what discovery found."""
+    profile = with_hidden(PROFILE_OF_REMAINING_NETWORK.model_copy(update={"seed": 2}), COMPLIANT, 2)
+    readings = blind_readings(profile, plan, 2)["left"]
+    model = calibrate_arm(profile, "left", readings)[0].model
+    discovery = discover_arm(ArmReadings.alone(profile, "left", model, readings))
+    assert discovery.terms
+    return profile, readings, model, discovery
+
+
+def judged(discovery, verdict):
+    return replace(discovery, result=discovery.result.model_copy(update={"verdict": verdict}))
+
+
+def trained(searched, readings):
+    """The outcome with a network, as if compliance had no name: the geometry alone stands for the accepted terms."""
+    profile, _, model, discovery = searched
+    discovery = replace(judged(discovery, "unknown effect"), model=model)
+    return with_network(ArmReadings.alone(profile, "left", model, readings), discovery)
+
+
+@pytest.mark.parametrize(
+    ("network", "kind", "unknown"), [("unknown", "mlp", True), ("never", "mlp", False), ("unknown", "none", False)]
+)
+def test_a_network_is_trained_where_an_effect_stays_unknown_and_the_profile_asks(searched, network, kind, unknown):
+    discovery, profile = searched[3], asking(network, kind)
+    assert not needs_network(profile, judged(discovery, "explained"))
+    assert needs_network(profile, judged(discovery, "unknown effect")) == unknown
+
+
+def test_a_stored_profile_that_asks_for_a_network_always_still_opens():
+    assert DiscoverySettings.model_validate({"network": "always"}).network == "unknown"
+
+
+def test_a_network_models_what_has_no_name(searched):
+    _, readings, _, discovery = searched
+    found = trained(searched, readings)
+    assert found.model.network is not None
+    assert found.result.heldout_mm.after < 0.8 * discovery.result.heldout_mm.before
+    assert found.result.steps[-1].heldout_mm == found.result.heldout_mm.after
+
+
+def test_held_out_readings_do_not_choose_the_network(searched):
+    readings = searched[1]
+    p_M = readings.p_M.copy()
+    rows = readings.in_split("validate")
+    p_M[rows] += np.random.default_rng(1).normal(0.0, 5e-3, (len(rows), 3))
+    found = [trained(searched, data) for data in (readings, replace(readings, p_M=p_M))]
+    texts = [json.dumps(network_to_json(one.model.network)) for one in found]
+    assert texts[0] == texts[1]
 
 
 # -- Evidence of a structured process: the marginal likelihood of the readings, with right derivatives -----------------

@@ -222,7 +222,9 @@ def test_an_arm_that_rests_after_a_gap_shows_no_side_until_it_moves():
 # -- Discovery of an arm that was recorded in motion: its model where it predicts better, and its words ----------------
 
 PROFILE = load_profile(Path(__file__).parents[3] / "profiles" / "ur10-real.yaml")
-QUICK = PROFILE.model_copy(update={"discovery": DiscoverySettings(null_simulations=20, folds=2, false_alarm=0.05)})
+QUICK = PROFILE.model_copy(
+    update={"discovery": DiscoverySettings(null_simulations=20, folds=2, false_alarm=0.05, network="never")}
+)
 """With a short search of the samples: what recordings show is searched as ever."""
 
 
