@@ -15,7 +15,9 @@ The command's options, the dialog of the terminal application and the handbook's
 from __future__ import annotations
 
 import importlib.util
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Self, get_args, get_type_hints
@@ -325,3 +327,12 @@ TargetsPath = Annotated[Path | tuple[Any, ...], Asked("Target list: .yaml or .cs
 NewRun = Annotated[Path, Asked("Folder of the new run; must not hold one yet.", "DIR", option="--run")]
 OutOfDate = Annotated[bool, Asked("Use the latest model even if it no longer fits the run's data.")]
 Strict = Annotated[bool, Asked("Exit code 1 if a result, the page or the certificate is out of date.")]
+
+
+def six_numbers(option: str, text: str, expected: str) -> list[float]:
+    """Parse six numbers that a person typed for an option. Raises ``InputError``, which says what is ``expected``."""
+    with suppress(ValueError):
+        numbers = [float(part) for part in text.removeprefix("p").strip("[] ").split(",")]
+        if len(numbers) == 6 and all(map(math.isfinite, numbers)):
+            return numbers
+    raise InputError(f"{option}: expected {expected}; not '{text}'")
