@@ -263,7 +263,8 @@ def rounds_words(verify: VerifyResult) -> list[str]:
             continue
         brought = ""
         if corrected:
-            alone, last = np.mean([(one.rounds_mm[0], one.final_mm) for one in corrected], axis=0)
+            errors_mm = np.array([(one.rounds_mm[0], one.final_mm) for one in corrected], dtype=np.float64)
+            alone, last = errors_mm.mean(axis=0)
             rounds = max(len(one.rounds_mm) for one in corrected) - 1
             times = f"{'up to ' if rounds > 1 else ''}{counted(rounds, 'correction')}"
             brought = f", from {alone:.4f} mm by the model alone to {last:.4f} mm in the mean, with {times}"
@@ -299,7 +300,8 @@ def named_few(names: Sequence[str]) -> str:
 
 
 def _judged(verify: VerifyResult) -> list[Measured]:
-    return [one for one in (*verify.targets, *verify.pairs) if one.verdict]
+    measured: list[Measured] = [*verify.targets, *verify.pairs]
+    return [one for one in measured if one.verdict]
 
 
 def _tolerance_message(verify: VerifyResult) -> str:
