@@ -164,7 +164,7 @@ def emulated_arms(profile: Profile) -> list[EmulatedArm]:
 def _hosts(controllers: Mapping[str, EmulatedController]) -> dict[str, str]:
     """Return the address of each controller; assign free addresses to those without one. Raises ``InputError``."""
     hosts = {name: one.host for name, one in controllers.items() if one.host is not None}
-    for name, host in hosts.items():
+    for name, host in reversed(hosts.items()):
         if list(hosts.values()).count(host) > 1:
             raise InputError(f"arms.{name}.driver.host: {host} is another arm's; give each its own, as 127.0.0.2")
     free = (f"127.0.0.{number}" for number in range(2, 255) if f"127.0.0.{number}" not in hosts.values())

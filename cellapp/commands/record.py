@@ -62,8 +62,6 @@ class Asked:
         Field without which this one has no meaning: one that is given needs that one, too.
     writes : Writes or None
         How the file or folder that the path names is written.
-    needed : bool
-        Whether the command line requires it although the request has a default.
     typed : type or None
         Type on the command line if it is not the field's type; a validator of the field converts it.
     """
@@ -80,7 +78,6 @@ class Asked:
     words: Mapping[str, str] = field(default_factory=dict)
     of: str = ""
     writes: Writes | None = None
-    needed: bool = False
     typed: Any = None
 
 
@@ -108,10 +105,6 @@ class Request(BaseModel):
             if words.of and given and not getattr(self, words.of):
                 raise ValueError(f"{self.option_of(name)} belongs to {self.option_of(words.of)}; add it")
         return self
-
-    def moves(self) -> bool:
-        """Return whether the arms may move for this request of a verb that moves arms."""
-        return True
 
     def job_name(self) -> str:
         """Say what its job is called, where that says more than the verb's name; else empty."""

@@ -12,10 +12,10 @@ from cellapp.commands.iso9283.request import Iso9283Request
 from cellapp.commands.record import View
 from cellapp.commands.view.charts import Axis, Chart, series
 from cellapp.commands.view.parts import Part, Section, section_of
-from cellapp.commands.view.table import Field, Table, table_of
+from cellapp.commands.view.table import Field, Table, table_of, with_rows
 from cellapp.commands.view.words import CHARACTERISTIC_WORDS, RULE_WORDS, judged_sentence, judgement_table
 from cellapp.estimation.iso9283.norm import ISO_COMMANDS, IsoCommands
-from cellapp.estimation.iso9283.records import Iso9283Result, IsoValue, PoseCharacteristics
+from cellapp.estimation.iso9283.records import Iso9283Result, IsoValue
 from cellapp.ground.counting import counted, mm
 from cellapp.ground.grouping import grouped
 
@@ -34,34 +34,25 @@ def view(result: Iso9283Result, request: Iso9283Request | None = None) -> View:
 
 
 def iso9283_section(result: Iso9283Result, about: str) -> Section:
-    """Show first what decides: judgements, poses, distances, tests; the other tables are folded."""
-    tables = _tables(result)
-    first, others = ([table for leads, table in tables if leads is asked] for asked in (True, False))
+    """Show first what decides; the other tables are folded."""
+    others = _other_tables(result)
     details = [Section(others, folded=True, title="All other characteristics")] if others else []
-    return section_of([*first, *iso9283_sentences(result), *iso9283_charts(result), *details], about=about)
+    first = [*_deciding_tables(result), *iso9283_sentences(result), *iso9283_charts(result)]
+    return section_of([*first, *details], about=about)
 
 
 def iso9283_tables(result: Iso9283Result) -> list[Table]:
     """Show judgements, characteristics of each test, and cubes; only what was measured."""
-    return [table for _, table in _tables(result)]
+    return [*_deciding_tables(result), *_other_tables(result)]
 
 
-def _tables(result: Iso9283Result) -> list[tuple[bool, Table]]:
-    """Return the non-empty tables in their order, each with whether it decides."""
-    tables = [
-        (True, judgement_table(result.judgements)),
-        (True, _poses(result)),
-        (True, _orientations(result)),
-        (True, _cooperative(result)),
-        (False, _directions(result)),
-        (True, _distances(result)),
-        (False, _drift(result)),
-        (False, _paths(result)),
-        (False, _velocities(result)),
-        (True, _coverage(result)),
-        (False, _cubes(result)),
-    ]
-    return [(leads, table) for leads, table in tables if table.rows]
+def _deciding_tables(result: Iso9283Result) -> list[Table]:
+    measured = (_poses(result), _orientations(result), _cooperative(result), _distances(result))
+    return with_rows(judgement_table(result.judgements), *measured, _coverage(result))
+
+
+def _other_tables(result: Iso9283Result) -> list[Table]:
+    return with_rows(_directions(result), _drift(result), _paths(result), _velocities(result), _cubes(result))
 
 
 def iso9283_sentences(result: Iso9283Result) -> list[str]:
@@ -137,12 +128,12 @@ def _bases(result: Iso9283Result) -> Iterator[str]:
 def _uncertain(result: Iso9283Result) -> Iterator[str]:
     """Yield arms whose repeatability the tracker cannot resolve by the norm's own rule."""
     for name, arm in result.arms.items():
-        poses = [pose for tests in arm.tests.values() for pose in tests.pose if _is_uncertain(pose)]
-        if poses:
+        poses = [pose for tests in arm.tests.values() for pose in tests.pose]
+        shown_mm = [(pose.tracker_rp_mm or 0.0, pose.repeatability.value_mm) for pose in poses]
+        if large_mm := [by_tracker for by_tracker, rp in shown_mm if by_tracker > _UNCERTAIN_SHARE * rp]:
             yield (
-                f"arm {name}: the tracker's stated uncertainty alone may show an RP of"
-                f" {max(pose.tracker_rp_mm or 0.0 for pose in poses):.3f} mm, more than a quarter of what was measured:"
-                " the arm's own may be much smaller"
+                f"arm {name}: the tracker's stated uncertainty alone may show an RP of {max(large_mm):.3f} mm, more"
+                " than a quarter of what was measured: the arm's own may be much smaller"
             )
 
 
@@ -152,10 +143,6 @@ def _refused(result: Iso9283Result) -> Iterator[str]:
         for reason in dict.fromkeys(arm.refused.values()):
             tests = ", ".join(test for test, why in arm.refused.items() if why == reason)
             yield f"arm {name}: not tested: {tests}: {reason}"
-
-
-def _is_uncertain(pose: PoseCharacteristics) -> bool:
-    return pose.tracker_rp_mm is not None and pose.tracker_rp_mm > _UNCERTAIN_SHARE * pose.repeatability.value_mm
 
 
 # -- tables -----------------------------------------------------------------------------------------------------------
