@@ -163,14 +163,10 @@ def emulated_arms(profile: Profile) -> list[EmulatedArm]:
 
 def _hosts(controllers: Mapping[str, EmulatedController]) -> dict[str, str]:
     """Return the address of each controller; assign free addresses to those without one. Raises ``InputError``."""
-    hosts: dict[str, str] = {}
-    for name, controller in controllers.items():
-        if controller.host is not None and controller.host in hosts.values():
-            raise InputError(
-                f"arms.{name}.driver.host: {controller.host} is another arm's; give each its own, as 127.0.0.2"
-            )
-        if controller.host is not None:
-            hosts[name] = controller.host
+    hosts = {name: one.host for name, one in controllers.items() if one.host is not None}
+    for name, host in reversed(hosts.items()):
+        if list(hosts.values()).count(host) > 1:
+            raise InputError(f"arms.{name}.driver.host: {host} is another arm's; give each its own, as 127.0.0.2")
     free = (f"127.0.0.{number}" for number in range(2, 255) if f"127.0.0.{number}" not in hosts.values())
     return hosts | dict(zip((name for name in controllers if name not in hosts), free, strict=False))
 
@@ -275,12 +271,7 @@ def _config(emulated: EmulatedArm, arm: Arm, plant: Plant | None) -> ControllerC
         name=emulated.arm,
         host=emulated.host,
         personality=_as_calibrated(emulated, plant),
-        ports={
-            "dashboard": emulated.dashboard_port,
-            "primary": emulated.primary_port,
-            "script": emulated.script_port,
-            "rtde": emulated.rtde_port,
-        },
+        ports={name: getattr(emulated, f"{name}_port") for name in STANDARD_PORTS},
         limits=limits,
         speed=tuple(joint.speed for joint in joints),
         acceleration=tuple(joint.acceleration for joint in joints),

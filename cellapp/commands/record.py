@@ -15,7 +15,9 @@ The command's options, the dialog of the terminal application and the handbook's
 from __future__ import annotations
 
 import importlib.util
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Self, get_args, get_type_hints
@@ -60,8 +62,6 @@ class Asked:
         Field without which this one has no meaning: one that is given needs that one, too.
     writes : Writes or None
         How the file or folder that the path names is written.
-    needed : bool
-        Whether the command line requires it although the request has a default.
     typed : type or None
         Type on the command line if it is not the field's type; a validator of the field converts it.
     """
@@ -78,7 +78,6 @@ class Asked:
     words: Mapping[str, str] = field(default_factory=dict)
     of: str = ""
     writes: Writes | None = None
-    needed: bool = False
     typed: Any = None
 
 
@@ -106,10 +105,6 @@ class Request(BaseModel):
             if words.of and given and not getattr(self, words.of):
                 raise ValueError(f"{self.option_of(name)} belongs to {self.option_of(words.of)}; add it")
         return self
-
-    def moves(self) -> bool:
-        """Return whether the arms may move for this request of a verb that moves arms."""
-        return True
 
     def job_name(self) -> str:
         """Say what its job is called, where that says more than the verb's name; else empty."""
@@ -325,3 +320,12 @@ TargetsPath = Annotated[Path | tuple[Any, ...], Asked("Target list: .yaml or .cs
 NewRun = Annotated[Path, Asked("Folder of the new run; must not hold one yet.", "DIR", option="--run")]
 OutOfDate = Annotated[bool, Asked("Use the latest model even if it no longer fits the run's data.")]
 Strict = Annotated[bool, Asked("Exit code 1 if a result, the page or the certificate is out of date.")]
+
+
+def six_numbers(option: str, text: str, expected: str) -> list[float]:
+    """Parse six numbers that a person typed for an option. Raises ``InputError``, which says what is ``expected``."""
+    with suppress(ValueError):
+        numbers = [float(part) for part in text.removeprefix("p").strip("[] ").split(",")]
+        if len(numbers) == 6 and all(map(math.isfinite, numbers)):
+            return numbers
+    raise InputError(f"{option}: expected {expected}; not '{text}'")

@@ -131,7 +131,5 @@ def view(result: TrackerBridgeResult, request: Request | None = None) -> View:
     """Show where the tracker is served."""
     places = [f"{result.host} port {result.port}"] if result.port is not None else []
     places += [result.serial] if result.serial is not None else []
-    guard = "with a token" if result.guarded else "without a token, for this machine alone"
-    if result.serial is not None and not result.guarded:
-        guard = "without a token"
+    guard = "with a token" if result.guarded else "without a token"
     return View((f"tracker ({result.kind}) at {' and '.join(places)}, {guard}", "Ctrl-C ends this"))

@@ -141,7 +141,7 @@ def test_verbs_start_without_scipy_and_doctor_without_the_search() -> None:
 class ToyRequest(Request):
     """Do a toy's work."""
 
-    cell: Annotated[Path | None, Asked("The cell.", "CELL", argument=True, needed=True)] = None
+    cell: Annotated[Path, Asked("The cell.", "CELL", argument=True)]
     sides: Annotated[
         tuple[str, ...],
         BeforeValidator(lambda given: ("left", "right") if given == "both" else given),

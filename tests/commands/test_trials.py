@@ -18,7 +18,7 @@ from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.commands.trials.blind import beyond_geometry
 from cellapp.commands.trials.judge import TRIAL_RESULT, judge_run, judge_trials, score_run, source_digest
-from cellapp.commands.trials.scoring import ArmFindings, JudgeResult, NoiseLengths, ScoredRun, judge_tables, scores
+from cellapp.commands.trials.scoring import ArmFindings, JudgeResult, ScoredRun, judge_tables, scores
 from cellapp.commands.trials.sealed import DescribedTerm, GroundTruth, HiddenLaw, check_seal, open_truth, seal_trials
 from cellapp.commands.trials.sealed_setup import CONFOUNDED, EXPECTED, PAIRS, TRIPLES, Setup, cases, library_name
 from cellapp.estimation.discovery.records import BeforeAfter
@@ -284,7 +284,7 @@ def test_what_hides_in_a_run_is_compared_with_what_was_found_there(tmp_path: Pat
     assert "joint_compliance" in {slug for answers in arm.answer_sets for slug in answers}
     assert trial.in_answer_set
     assert arm.heldout_um.after < 0.2 * arm.heldout_um.before
-    assert arm.noise_um.stated == pytest.approx(arm.noise_um.drawn, rel=0.6)
+    assert arm.noise_um == pytest.approx(open_truth(folder).trials[0].noise_um[trial.arm], rel=0.6)
     assert result.judged_by_other_source == 0
     assert {target.target for target in result.targets} >= {"visible: exactly its name", "one arm within 5 s"}
 
@@ -358,7 +358,7 @@ def findings(**changes: Any) -> ArmFindings:
         "described": (),
         "verdict": "nothing missing",
         "heldout_um": BeforeAfter(before=26.0, after=after_um),
-        "noise_um": NoiseLengths(stated=26.0, drawn=25.0),
+        "noise_um": 25.0,
         "seconds": 1.0,
         "cpu_seconds": 0.9,
     }
@@ -483,15 +483,13 @@ def test_brier_score_and_reliability() -> None:
         judged(truth("one", "backlash"), named("backlash")),  # nothing stated
     ]
     by_name = {score.about: score for score in scores(runs).posteriors}
-    stated = by_name["effects with a stated probability"]
-    assert stated.n == 4
-    assert stated.brier == pytest.approx((0.1**2 + 0.3**2 + 0.8**2 + 0.7**2) / 4)
-    assert [(one.n, one.true) for one in stated.bins] == [(0, None), (2, 0.5), (0, None), (1, 0.0), (1, 1.0)]
     accepted = by_name["accepted names"]
     assert accepted.n == 2
     assert accepted.brier == pytest.approx((0.1**2 + 0.7**2) / 2)
+    assert [(one.n, one.true) for one in accepted.bins] == [(0, None), (0, None), (0, None), (1, 0.0), (1, 1.0)]
     every = by_name["every effect that the plan can show"]
-    assert every.brier == pytest.approx(4 * stated.brier / every.n), "what is not stated counts as stated with zero"
+    squares = 0.1**2 + 0.3**2 + 0.8**2 + 0.7**2
+    assert every.brier == pytest.approx(squares / every.n), "what is not stated counts as stated with zero"
     targets = [target for target in scores(runs).targets if target.target.startswith("Brier")]
     assert {target.bar for target in targets} == {True}
 

@@ -414,11 +414,6 @@ def frame_problem(frame: WorkFrame, profile: Profile) -> str:
     return ""
 
 
-def same_target(target: Target, stored: TargetRecord) -> bool:
-    """Return whether a stored result is about this target as it is now."""
-    return stored.arm in target.arms and stored.definition == definition(target)
-
-
 def target_record(target: Target, arm: str) -> TargetRecord:
     """Return the record of a target for a result about one arm's part in it."""
     return TargetRecord.like(target, arm=arm, partner=partner_of(target, arm), definition=definition(target))

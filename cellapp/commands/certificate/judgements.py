@@ -13,7 +13,7 @@ Characteristics of ISO 9283 against the tolerances of a profile: each arm's wors
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -46,7 +46,7 @@ from cellapp.ground.counting import counted
 from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Tolerances
-from cellapp.ground.results import CALIBRATE, ISO9283, VERIFY, ErrorSummary, StageName, best_method
+from cellapp.ground.results import CALIBRATE, ISO9283, VERIFY, ErrorSummary, Record, StageName, best_method
 
 Budget = Sequence[UncertaintyContribution]
 _ROTATIONS: tuple[Characteristic, ...] = ("orientation", "cooperative_orientation")
@@ -55,13 +55,19 @@ _ROTATIONS: tuple[Characteristic, ...] = ("orientation", "cooperative_orientatio
 
 @dataclass(frozen=True)
 class _Measured:
-    """Errors [mm] of one characteristic; where, from which source, and the contributions to their uncertainty."""
+    """The largest error of one characteristic [mm], of an orientation [mrad]: where, from which source, of how many.
+
+    ``value`` is None where nothing was measured, ``expanded`` where its uncertainty is not known. It is not judged
+    unless it was measured often ``enough``.
+    """
 
     characteristic: Characteristic
     where: str
-    errors_mm: Sequence[float]
     source: str
-    budget: Budget = ()
+    value: float | None = None
+    expanded: float | None = None
+    n: int = 0
+    enough: bool = True
 
 
 def judge_run(
@@ -80,62 +86,57 @@ def judge_run(
     budgets = {
         arm: position_budget(profile, arm, evidence_of(results, arm, conditions.get(arm))) for arm in profile.arms
     }
-    own = [
+    tested = list(_held_iso(results))
+    found = [
         *(_position(results, arm, budget) for arm, budget in budgets.items()),
         *(_distance(results, arm, budget) for arm, budget in budgets.items()),
-        *_cooperative(profile.tolerances, results, budgets),
+        *_cooperative(results, budgets, tested),
+        *_orientations(profile, results),
+        *tested,
+        *_untested(profile, results, tested),
     ]
-    judged = [*(_judged(profile.tolerances, one) for one in own), *_orientations(profile, results)]
-    changed = other_arms_found(results)
-    return tuple(_undecided(one, changed) for one in (*judged, *_iso(profile, results)) if one is not None)
+    return _judged(profile.tolerances, found, other_arms_found(results))
 
 
 # -- what was measured ------------------------------------------------------------------------------------------------
 
 
 def _position(results: RunResults, arm: str, budget: Budget) -> _Measured:
-    verify, targets = results.verified, results.verified.of_arm(arm)
+    targets = results.verified.of_arm(arm)
     errors = [one.final_mm for one in targets if one.final_mm is not None]
     if not errors:
-        return _Measured("position", arm, (), _unverified(results, "position", _held_out(results, arm, "position_mm")))
-    return _Measured("position", arm, errors, _verified(verify, len(errors), len(targets), "targets"), budget)
+        return _unverified(results, "position", (arm,), "position_mm")
+    source = _verified(results.verified, len(errors), len(targets), "targets")
+    return _largest("position", arm, source, errors, budget)
 
 
 def _distance(results: RunResults, arm: str, budget: Budget) -> _Measured:
     """Collect all pairs of verified targets with compensated commands; a corrected target has no measured position."""
-    verify, targets = results.verified, results.verified.of_arm(arm)
+    targets = results.verified.of_arm(arm)
     errors = _distance_errors_mm(targets)
     if not errors:
-        return _Measured("distance", arm, (), _unverified(results, "distance", _held_out(results, arm, "distance_mm")))
+        return _unverified(results, "distance", (arm,), "distance_mm")
     points = sum(one.measured_M is not None for one in targets)
-    source = f"{_verified(verify, points, len(targets), 'targets')}, {counted(len(errors), 'distance')} between them"
-    return _Measured("distance", arm, errors, source, distance_budget(budget))
+    verified = _verified(results.verified, points, len(targets), "targets")
+    source = f"{verified}, {counted(len(errors), 'distance')} between them"
+    return _largest("distance", arm, source, errors, distance_budget(budget))
 
 
-def _cooperative(tolerances: Tolerances, results: RunResults, budgets: Mapping[str, Budget]) -> list[_Measured]:
-    """Collect each pair of arms with verified cooperative targets; also the only pair of a cell without any."""
+def _cooperative(
+    results: RunResults, budgets: Mapping[str, Budget], tested: Sequence[_Measured]
+) -> Iterator[_Measured]:
+    """Yield each pair of arms with verified cooperative targets; also the only pair of a cell without any."""
     verify = results.verified
     found = grouped((pair.arms, pair.final_mm) for pair in verify.pairs if pair.final_mm is not None)
-    if found:
-        return [
-            _Measured(
-                "cooperative",
-                _both(arms),
-                errors,
-                _verified(verify, len(errors), sum(one.arms == arms for one in verify.pairs), "pairs of targets"),
-                [one for arm in arms for one in budgets[arm]],
-            )
-            for arms, errors in found.items()
-        ]
-    tested = any(one.characteristic == "cooperative" for one in _held_iso(tolerances, results))
-    if len(budgets) != 2 or tested:
-        return []
-    best = best_method(results.pair)
-    held_out = None if best is None else results.pair[best].cooperative_mm
-    return [_Measured("cooperative", _both(list(budgets)), (), _unverified(results, "cooperative", held_out))]
+    for arms, errors in found.items():
+        asked = sum(one.arms == arms for one in verify.pairs)
+        source = _verified(verify, len(errors), asked, "pairs of targets")
+        yield _largest("cooperative", _both(arms), source, errors, [one for arm in arms for one in budgets[arm]])
+    if not found and len(budgets) == 2 and not any(one.characteristic == "cooperative" for one in tested):
+        yield _unverified(results, "cooperative", tuple(budgets), "cooperative_mm")
 
 
-def _orientations(profile: Profile, results: RunResults) -> Iterator[Judgement]:
+def _orientations(profile: Profile, results: RunResults) -> Iterator[_Measured]:
     """Yield each probe arm's largest error of orientation at verified targets; of every arm if none has a probe.
 
     Then that of one flange in the other's frame.
@@ -143,10 +144,10 @@ def _orientations(profile: Profile, results: RunResults) -> Iterator[Judgement]:
     verify = results.verified
     probed = [name for name, arm in profile.arms.items() if arm.smr.probe is not None]
     for arm in probed or profile.arms:
-        yield from _rotated(profile, results, "orientation", (arm,), verify.of_arm(arm), arm in probed)
+        yield _rotated(profile, results, "orientation", (arm,), verify.of_arm(arm), arm in probed)
     if len(profile.arms) == 2:
         names = tuple(profile.arms)
-        yield from _rotated(profile, results, "cooperative_orientation", names, verify.pairs, len(probed) == 2)
+        yield _rotated(profile, results, "cooperative_orientation", names, verify.pairs, len(probed) == 2)
 
 
 def _rotated(
@@ -156,21 +157,19 @@ def _rotated(
     arms: tuple[str, ...],
     measured: Sequence[MeasuredTarget | MeasuredPair],
     probed: bool,
-) -> Iterator[Judgement]:
-    """Yield the judgement of an arm's orientation, or of one flange in the other's frame, if it has a tolerance."""
+) -> _Measured:
+    """Return an arm's largest error of orientation, or that of one flange in the other's frame."""
     angles = [its.final_mrad for one in measured if (its := one.orientation) and its.final_mrad is not None]
-    value = max(angles, default=None)
-    if angles:
-        what = "targets" if len(arms) == 1 else "pairs of targets"
-        source = _verified(results.verified, len(angles), len(measured), what)
-    elif probed:
-        source = _unverified(results, characteristic, _held_out_rotations(results, arms), "mrad")
-    else:
-        source = f"not measured: {'the' if len(arms) == 1 else 'a'} flange has no 6-D probe (smr.probe)"
+    if not probed and not angles:
+        why = f"not measured: {'the' if len(arms) == 1 else 'a'} flange has no 6-D probe (smr.probe)"
+        return _Measured(characteristic, _both(arms), why)
+    if not angles:
+        return _unverified(results, characteristic, arms, "orientation_mrad" if len(arms) == 1 else "cooperative_mrad")
+    what = "targets" if len(arms) == 1 else "pairs of targets"
+    source = _verified(results.verified, len(angles), len(measured), what)
     budgets = [orientation_budget(profile, results, arm) for arm in arms]
-    expanded = None if value is None or not all(budgets) else expanded_mrad([one for own in budgets for one in own])
-    judged = _judgement(profile.tolerances, characteristic, _both(arms), value, expanded, source, len(angles))
-    yield from () if judged is None else (judged,)
+    expanded = expanded_mrad([one for own in budgets for one in own]) if all(budgets) else None
+    return _Measured(characteristic, _both(arms), source, max(angles), expanded, len(angles))
 
 
 def orientation_budget(profile: Profile, results: RunResults, arm: str) -> tuple[AngleContribution, ...]:
@@ -184,77 +183,59 @@ def orientation_budget(profile: Profile, results: RunResults, arm: str) -> tuple
     return angle_budget(profile, arm, worst.model_mrad, worst.noise_mrad, basis)
 
 
-def _iso(profile: Profile, results: RunResults) -> list[Judgement | None]:
-    """Return the judgements of measured characteristics, and those with a tolerance that were not measured."""
-    held = _held_iso(profile.tolerances, results)
+def _held_iso(results: RunResults) -> Iterator[_Measured]:
+    """Yield what the test by ISO 9283 measured; nothing if it no longer holds."""
+    if (stored := results.held.iso9283) is not None:
+        cycles = NORM_CYCLES["pose"] if stored.conditions is None else stored.conditions.cycles
+        yield from _tested(stored.arms, stored.pairs, cycles)
+
+
+def _untested(profile: Profile, results: RunResults, tested: Sequence[_Measured]) -> Iterator[_Measured]:
+    """Yield the characteristics of ISO 9283 that were not measured."""
     why = _outdated(results, ISO9283, "the test by ISO 9283") or "not measured"
-    return [
-        *held,
-        *(
-            _judged(profile.tolerances, _Measured(name, arm, (), why))
-            for name in TEST_OF
-            for arm in profile.arms
-            if not any(one.characteristic == name and one.where == arm for one in held)
-        ),
-    ]
+    known = {(one.characteristic, one.where) for one in tested}
+    for name in TEST_OF:
+        yield from (_Measured(name, arm, why) for arm in profile.arms if (name, arm) not in known)
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
 
 
-def _judged(tolerances: Tolerances, one: _Measured) -> Judgement | None:
-    """Judge the largest error; None if the profile gives no tolerance."""
-    value = max(one.errors_mm, default=None)
-    expanded = expanded_mm(one.budget) if value is not None else None
-    missing = not_given(one.budget) if value is not None else []
+def _judged(tolerances: Tolerances, found: Iterable[_Measured], changed: str = "") -> tuple[Judgement, ...]:
+    """Judge what has a tolerance; ``changed`` says why no measurement decides anything, if so."""
+    judgements = []
+    for one in found:
+        limit: float | None = getattr(tolerances, one.characteristic)
+        if limit is None:
+            continue
+        why = changed if one.value is not None else ""
+        tolerance, unit = limit * 1e3, "mrad" if one.characteristic in _ROTATIONS else "mm"
+        figures: dict[str, Any] = dict.fromkeys(("value_mm", "expanded_mm", "tolerance_mm"))
+        figures |= {f"value_{unit}": one.value, f"expanded_{unit}": one.expanded, f"tolerance_{unit}": tolerance}
+        decided = one.enough and not why
+        judgements.append(
+            Judgement(
+                characteristic=one.characteristic,
+                where=one.where,
+                rule=tolerances.decision,
+                conformity=conformity(one.value, one.expanded, tolerance, tolerances.decision)
+                if decided
+                else "not decided",
+                source=f"{one.source}; {why}" if why else one.source,
+                n=one.n,
+                **figures,
+            )
+        )
+    return tuple(judgements)
+
+
+def _largest(
+    characteristic: Characteristic, where: str, source: str, errors_mm: Sequence[float], budget: Budget
+) -> _Measured:
+    """Return the largest error with its expanded uncertainty, or what is missing for that."""
+    missing = not_given(budget)
     unknown = f"; uncertainty not known, as not given: {', '.join(missing)}" if missing else ""
-    source, n = one.source + unknown, len(one.errors_mm)
-    return _judgement(tolerances, one.characteristic, one.where, value, expanded, source, n)
-
-
-def _judgement(
-    tolerances: Tolerances,
-    characteristic: Characteristic,
-    where: str,
-    value: float | None,
-    expanded: float | None,
-    source: str,
-    n: int,
-    *,
-    enough: bool = True,
-) -> Judgement | None:
-    """Judge one error [mm], of an orientation [mrad], if it was measured often ``enough``; None without a tolerance."""
-    limit: float | None = getattr(tolerances, characteristic)
-    if limit is None:
-        return None
-    tolerance, unit = limit * 1e3, "mrad" if characteristic in _ROTATIONS else "mm"
-    figures: dict[str, Any] = dict.fromkeys(("value_mm", "expanded_mm", "tolerance_mm"))
-    figures |= {f"value_{unit}": value, f"expanded_{unit}": expanded, f"tolerance_{unit}": tolerance}
-    return Judgement(
-        characteristic=characteristic,
-        where=where,
-        rule=tolerances.decision,
-        conformity=conformity(value, expanded, tolerance, tolerances.decision) if enough else "not decided",
-        source=source,
-        n=n,
-        **figures,
-    )
-
-
-def _undecided(one: Judgement, why: str) -> Judgement:
-    """Return the judgement without a decision because of ``why``; unchanged if that is empty or nothing measured."""
-    if not why or one.value is None:
-        return one
-    return one.model_copy(update={"conformity": "not decided", "source": f"{one.source}; {why}"})
-
-
-def _held_iso(tolerances: Tolerances, results: RunResults) -> tuple[Judgement, ...]:
-    """Return the results of the test by ISO 9283 judged by these tolerances; empty if it no longer holds."""
-    stored = results.held.iso9283
-    if stored is None:
-        return ()
-    cycles = NORM_CYCLES["pose"] if stored.conditions is None else stored.conditions.cycles
-    return judge_characteristics(tolerances, stored.arms, stored.pairs, cycles)
+    return _Measured(characteristic, where, source + unknown, max(errors_mm), expanded_mm(budget), len(errors_mm))
 
 
 def other_arms_found(results: RunResults) -> str:
@@ -273,53 +254,39 @@ def _verified(verify: VerifyResult, measured: int, asked: int, what: str) -> str
     return f"verification, {count}" + (f" ({verify.stopped})" if verify.stopped else "")
 
 
-def _unverified(
-    results: RunResults, characteristic: Characteristic, held_out: ErrorSummary | None, unit: str = "mm"
-) -> str:
-    """Say why nothing is verified, and the calibration's error at held-out stops."""
-    verify = results.verify
-    if (reason := _outdated(results, VERIFY, "the verification")) == "":
-        reason = (
-            "not verified"
-            if verify is None
-            else f"the verification measured no {characteristic.replace('_', ' ')} error"
-        )
+def _unverified(results: RunResults, characteristic: Characteristic, arms: tuple[str, ...], error: str) -> _Measured:
+    """Say why nothing is verified, and the calibration's ``error`` at held-out stops, as its field is called."""
+    why = f"the verification measured no {characteristic.replace('_', ' ')} error"
+    why = _outdated(results, VERIFY, "the verification") or ("not verified" if results.verify is None else why)
+    held_out = _held_out(results, arms, error)
     if held_out is None:
-        return _outdated(results, CALIBRATE, f"{reason}; the calibration") or f"{reason}; no held-out figure"
+        source = _outdated(results, CALIBRATE, f"{why}; the calibration") or f"{why}; no held-out figure"
+        return _Measured(characteristic, _both(arms), source)
+    unit = error.rpartition("_")[2]
     p95 = "" if held_out.p95 is None else f"95 % within {held_out.p95:.3f} {unit}, "
-    return f"{reason}; predicted at {held_out.n} held-out values: {p95}largest {held_out.max:.3f} {unit}"
+    source = f"{why}; predicted at {held_out.n} held-out values: {p95}largest {held_out.max:.3f} {unit}"
+    return _Measured(characteristic, _both(arms), source)
 
 
-def _held_out(
-    results: RunResults, arm: str, error: Literal["position_mm", "orientation_mrad", "distance_mm"]
-) -> ErrorSummary | None:
-    calibrate = results.held.calibrate
-    found = None if calibrate is None else calibrate.arms.get(arm)
-    if found is None:
-        return None
-    stage = found.validate_[found.best_stage]
-    summary: ErrorSummary | None = getattr(stage, error)
-    return summary
-
-
-def _held_out_rotations(results: RunResults, arms: Sequence[str]) -> ErrorSummary | None:
-    """Return the held-out errors of orientation [mrad] of an arm, or of one flange in the other's frame."""
-    if len(arms) == 1:
-        return _held_out(results, arms[0], "orientation_mrad")
-    best = best_method(results.pair)
-    return None if best is None else results.pair[best].cooperative_mrad
+def _held_out(results: RunResults, arms: tuple[str, ...], error: str) -> ErrorSummary | None:
+    """Return the held-out errors of an arm by the best stage, or of a pair by the best method."""
+    best: Record | None = None
+    if len(arms) > 1 and (method := best_method(results.pair)) is not None:
+        best = results.pair[method]
+    elif len(arms) == 1 and (calibrate := results.held.calibrate) is not None and arms[0] in calibrate.arms:
+        arm = calibrate.arms[arms[0]]
+        best = arm.validate_[arm.best_stage]
+    found: ErrorSummary | None = getattr(best, error, None)
+    return found
 
 
 def _distance_errors_mm(targets: Sequence[MeasuredTarget]) -> list[float]:
     """Return the errors [mm] of the distances between measured positions, for all pairs of targets."""
-
     points = [(one.measured_M, one.wanted_M) for one in targets if one.measured_M and one.wanted_M]
     if len(points) < 2:
         return []
-    measured, wanted = np.array(points).transpose(1, 0, 2)
-    errors: list[float] = (
-        np.abs(scipy.spatial.distance.pdist(measured) - scipy.spatial.distance.pdist(wanted)) * 1e3
-    ).tolist()
+    measured, wanted = (scipy.spatial.distance.pdist(its) for its in np.array(points).transpose(1, 0, 2))
+    errors: list[float] = (np.abs(measured - wanted) * 1e3).tolist()
     return errors
 
 
@@ -357,17 +324,20 @@ def judge_characteristics(
     Calibrated commands are judged if they were measured, else nominal ones. A characteristic from fewer cycles than the
     norm's is not judged, unless fewer were requested (``cycles``).
     """
-    found: list[Judgement] = []
+    return _judged(tolerances, _tested(arms, pairs, cycles))
+
+
+def _tested(arms: Mapping[str, ArmIso9283], pairs: tuple[PairIso9283, ...], cycles: int) -> Iterator[_Measured]:
+    """Yield the largest value of each characteristic of arms and of pairs."""
     for name, arm in arms.items():
         kind = _last(arm.tests)
         if kind is not None:
-            found += _judged_characteristic(tolerances, name, kind, list(found_in(arm.tests[kind])), cycles)
+            yield from _worst(name, kind, list(found_in(arm.tests[kind])), cycles)
     for pair in pairs:
         kind = _last(pair.distance)
         if kind is not None:
-            each = [FoundValue("cooperative", " and ".join(one.between), one.accuracy) for one in pair.distance[kind]]
-            found += _judged_characteristic(tolerances, " and ".join(pair.arms), kind, each, cycles)
-    return tuple(found)
+            each = [FoundValue("cooperative", _both(one.between), one.accuracy) for one in pair.distance[kind]]
+            yield from _worst(_both(pair.arms), kind, each, cycles)
 
 
 def unmeasured_tests(
@@ -382,25 +352,16 @@ def unmeasured_tests(
     return tuple(dict.fromkeys(TEST_OF[one] for one in missing))
 
 
-def _judged_characteristic(
-    tolerances: Tolerances, where: str, kind: IsoCommands, found: list[FoundValue], cycles: int
-) -> Iterator[Judgement]:
-    for characteristic in dict.fromkeys(one.characteristic for one in found):
-        own = [one for one in found if one.characteristic == characteristic]
+def _worst(where: str, kind: IsoCommands, found: list[FoundValue], cycles: int) -> Iterator[_Measured]:
+    for characteristic, own in grouped((one.characteristic, one) for one in found).items():
         worst = max(own, key=lambda one: abs(one.value.value_mm))
         test = TEST_OF.get(characteristic, "cooperative")
-        asked, n = wanted_cycles(test, cycles), min(one.value.n for one in own)
-        norm = NORM_CYCLES[test]
-        enough = n >= min(asked, norm)
-        figures = abs(worst.value.value_mm), worst.value.expanded_mm, _source(worst, kind, n, norm, enough=enough), n
-        judged = _judgement(tolerances, characteristic, where, *figures, enough=enough)
-        yield from () if judged is None else (judged,)
-
-
-def _source(worst: FoundValue, kind: IsoCommands, n: int, norm: int, *, enough: bool) -> str:
-    cycles = counted(n, "cycle") if n >= norm else f"{n} of {counted(norm, 'cycle')}"
-    short = "" if enough else ", too few to judge"
-    return f"ISO 9283, {worst.at}, {kind} commands, {cycles}{short}"
+        n, norm = min(one.value.n for one in own), NORM_CYCLES[test]
+        enough = n >= min(wanted_cycles(test, cycles), norm)
+        made = counted(n, "cycle") if n >= norm else f"{n} of {counted(norm, 'cycle')}"
+        source = f"ISO 9283, {worst.at}, {kind} commands, {made}{'' if enough else ', too few to judge'}"
+        value = abs(worst.value.value_mm)
+        yield _Measured(characteristic, where, source, value, worst.value.expanded_mm, n, enough)
 
 
 def _last(measured: Mapping[IsoCommands, object]) -> IsoCommands | None:

@@ -19,7 +19,7 @@ from cellapp.commands.certificate_result import (
     CertifiedTarget,
     CertifiedTests,
 )
-from cellapp.commands.compensate.words import unknown_conditions
+from cellapp.commands.compensate.words import named_few, unknown_conditions
 from cellapp.commands.run_results import RunResults, evidence_of
 from cellapp.estimation.iso9283.records import CommandedTests, IsoValue
 from cellapp.estimation.uncertainty.budget import (
@@ -41,8 +41,6 @@ _METHOD = (
     " rests, the laser tracker measures the position of the SMR on its flange; the error is the distance from the"
     " target."
 )
-_MOST_NAMED = 5
-"""Most targets that a sentence names; further ones are counted."""
 
 
 def certificate_of(
@@ -162,10 +160,8 @@ def _found_and_left(
 
 def _targets(verify: VerifyResult) -> tuple[CertifiedTarget, ...]:
     return tuple(
-        CertifiedTarget(
-            name=one.name,
-            arm=one.arm,
-            wanted_M=None if one.wanted_M is None else (one.wanted_M[0], one.wanted_M[1], one.wanted_M[2]),
+        CertifiedTarget.like(
+            one,
             found_mm=one.nominal_mm,
             left_mm=one.final_mm,
             found_mrad=None if one.orientation is None else one.orientation.nominal_mrad,
@@ -226,7 +222,9 @@ def _limits(results: RunResults, verify: VerifyResult) -> list[str]:
     ]
     for arm in dict.fromkeys(target.arm for target in verify.targets):
         own = verify.of_arm(arm)
-        sentences += _not_measured(arm, [target.name for target in own if target.final_mm is None], len(own))
+        if missing := [target.name for target in own if target.final_mm is None]:
+            count = counted(len(own), "target was", "targets were")
+            sentences.append(f"Arm {arm}: {len(missing)} of {count} not measured: {named_few(missing)}.")
         corrected = sum(target.corrected_mm is not None for target in own)
         if corrected:
             sentences.append(
@@ -235,16 +233,6 @@ def _limits(results: RunResults, verify: VerifyResult) -> list[str]:
             )
         sentences += _conditions(results, arm)
     return sentences
-
-
-def _not_measured(arm: str, names: Sequence[str], count: int) -> list[str]:
-    if not names:
-        return []
-    more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
-    return [
-        f"Arm {arm}: {len(names)} of {counted(count, 'target was', 'targets were')} not measured:"
-        f" {', '.join(names[:_MOST_NAMED])}{more}."
-    ]
 
 
 def _conditions(results: RunResults, arm: str) -> list[str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from cellapp.commands.certificate.request import CertificateRequest
 from cellapp.commands.certificate_result import (
@@ -14,12 +14,12 @@ from cellapp.commands.certificate_result import (
 )
 from cellapp.commands.record import View
 from cellapp.commands.view.parts import Facts, Section
-from cellapp.commands.view.table import Cell, Field, Table, columns_of, table_of
+from cellapp.commands.view.table import Cell, Field, Table, columns_of, table_of, with_rows
 from cellapp.commands.view.words import CHARACTERISTIC_WORDS, RULE_WORDS, Verdict, judgement_table, verdict_of
 from cellapp.estimation.iso9283.coverage import not_done
 from cellapp.estimation.iso9283.norm import ISO_COMMANDS
-from cellapp.estimation.uncertainty.budget import COVERAGE, combined_mm
-from cellapp.estimation.uncertainty.records import UncertaintyContribution
+from cellapp.estimation.uncertainty.budget import COVERAGE, combined
+from cellapp.estimation.uncertainty.records import AngleContribution, UncertaintyContribution
 from cellapp.ground.counting import counted
 from cellapp.ground.grouping import grouped
 from cellapp.ground.results import ErrorSummary, day_of, minute_of
@@ -70,18 +70,10 @@ def view(result: CertificateResult, request: CertificateRequest | None = None) -
 
 
 def certificate_tables(result: CertificateResult) -> list[Table]:
-    """Show errors as found and as left, judgements, uncertainty budget, instruments."""
+    """Show errors as found and as left, judgements, uncertainty budgets, instruments."""
     judged = [judgement_table(result.judgements)] if result.judgements else []
     tested = [iso_table(result.iso9283)] if result.iso9283 is not None else []
-    return [
-        errors_table(result),
-        *angle_tables(result),
-        *judged,
-        *tested,
-        budget_table(result),
-        *angle_budget_tables(result),
-        instruments_table(result),
-    ]
+    return [*errors_tables(result), *judged, *tested, *budget_tables(result), instruments_table(result)]
 
 
 def certificate_sentences(result: CertificateResult) -> list[str]:
@@ -89,7 +81,7 @@ def certificate_sentences(result: CertificateResult) -> list[str]:
     verdict = certificate_verdict(result)
     written = [f"certificate {result.number}: {', '.join(result.files)}"] if result.files else []
     return [
-        *(f"MARK: {mark}" for mark in (*result.warnings, *(f"out of date: {one}" for one in result.out_of_date))),
+        *(f"MARK: {mark}" for mark in certificate_marks(result)),
         f"{verdict.title}: {verdict.sentence}" if verdict.sentence else verdict.title,
         *result.limits,
         *([f"not given: {'; '.join(result.missing)}"] if result.missing else []),
@@ -116,16 +108,18 @@ def certificate_marks(result: CertificateResult, outdated: str = "") -> list[str
 def certificate_sections(result: CertificateResult) -> list[Section]:
     """Show the certificate as printed, from its judgements to the hashes of its basis."""
     objects = Facts(tuple((f"Arm {name}", _arm_words(arm)) for name, arm in result.arms.items()))
+    errors, *rotations = errors_tables(result)
+    position_budget, *rotation_budget = budget_tables(result)
     return [
         *([_of_table(judgement_table(result.judgements))] if result.judgements else []),
-        _of_table(errors_table(result), _FOUND_AND_LEFT),
-        *(_of_table(table) for table in angle_tables(result)),
+        _of_table(errors, _FOUND_AND_LEFT),
+        *map(_of_table, rotations),
         *([_of_table(targets_table(result))] if result.targets else []),
         *([] if result.iso9283 is None else [_of_table(iso_table(result.iso9283), iso_sentence(result.iso9283))]),
         Section([objects, Facts(tuple(_facts(result)))], title="Object and conditions"),
         _of_table(instruments_table(result)),
-        _of_table(budget_table(result), _UNCERTAINTY),
-        *(_of_table(table) for table in angle_budget_tables(result)),
+        _of_table(position_budget, _UNCERTAINTY),
+        *map(_of_table, rotation_budget),
         Section(_statements(result), title="Statements"),
         *([Section([Facts(tuple(result.rests_on.items()))], title="Data (SHA-256)")] if result.rests_on else []),
     ]
@@ -166,37 +160,30 @@ def targets_table(result: CertificateResult) -> Table:
     )
 
 
-def errors_table(result: CertificateResult) -> Table:
-    """Show errors as found and as left [mm]: measured at targets, if any, else predicted at held-out stops."""
-    rows: list[tuple[Cell, ...]] = []
+def errors_tables(result: CertificateResult) -> list[Table]:
+    """Show errors as found and as left: measured at targets, if any, and predicted at held-out stops.
+
+    Of positions [mm]; of rotations [mrad] where a probe measured them.
+    """
+    positions, rotations = list[tuple[Cell, ...]](), list[tuple[Cell, ...]]()
     for name, arm in result.arms.items():
-        rows += _error_rows(f"Arm {name}, position", arm.errors.positions)
-    rows += _error_rows("Both arms, distance between them", result.pair.positions)
-    return Table("Errors as found (published geometry) and as left (compensated) [mm]", _ERROR_COLUMNS, tuple(rows))
+        positions += _error_rows(f"Arm {name}, position", arm.errors.positions)
+        rotations += _error_rows(f"Arm {name}, orientation", arm.errors.orientations)
+    positions += _error_rows("Both arms, distance between them", result.pair.positions)
+    rotations += _error_rows("Both arms, rotation of one flange in the other's frame", result.pair.orientations)
+    title = "Errors as found (published geometry) and as left (compensated) [mm]"
+    rotated = Table("Errors of orientation as found and as left [mrad]", _ERROR_COLUMNS, tuple(rotations))
+    return [Table(title, _ERROR_COLUMNS, tuple(positions)), *with_rows(rotated)]
 
 
-def angle_tables(result: CertificateResult) -> list[Table]:
-    """Show the errors as found and as left of the flange's rotation [mrad], where a probe measured it."""
-    rows: list[tuple[Cell, ...]] = []
-    for name, arm in result.arms.items():
-        rows += _error_rows(f"Arm {name}, orientation", arm.errors.orientations)
-    rows += _error_rows("Both arms, rotation of one flange in the other's frame", result.pair.orientations)
-    return [Table("Errors of orientation as found and as left [mrad]", _ERROR_COLUMNS, tuple(rows))] if rows else []
-
-
-def angle_budget_tables(result: CertificateResult) -> list[Table]:
-    """Show standard and expanded uncertainties of orientation by arm [mrad]; empty if none was measured."""
-    lines = result.orientation_contributions or ()
-    rows: list[tuple[Cell, ...]] = [
-        (one.source, one.where, _or_unknown(one.standard_mrad), one.evaluation, one.basis) for one in lines
+def budget_tables(result: CertificateResult) -> list[Table]:
+    """Show standard uncertainties by arm, combined and expanded by the GUM: of positions, and of rotations if any."""
+    positions = [(one, one.standard_mm) for one in result.contributions]
+    rotations = [(one, one.standard_mrad) for one in result.orientation_contributions or ()]
+    return [
+        _budget("Uncertainty of a measured position error [mm]", positions),
+        *([_budget("Uncertainty of a measured error of orientation [mrad]", rotations)] if rotations else []),
     ]
-    coverage = f"k = {COVERAGE:g}, about 95 %"
-    rows += [
-        ("expanded, U", arm, _or_unknown(result.arms[arm].expanded_mrad), "", coverage)
-        for arm in dict.fromkeys(one.where for one in lines)
-    ]
-    columns = columns_of("contribution", "arm", ("u", ".4f"), "type", "basis")
-    return [Table("Uncertainty of a measured error of orientation [mrad]", columns, tuple(rows))] if rows else []
 
 
 def iso_table(tests: CertifiedTests) -> Table:
@@ -231,20 +218,6 @@ def iso_sentence(tests: CertifiedTests) -> str:
     )
 
 
-def budget_table(result: CertificateResult) -> Table:
-    """Show standard uncertainties of a position error by arm [mm], combined and expanded by the GUM."""
-    by_arm = grouped((one.where, one) for one in result.contributions)
-    sources = dict.fromkeys(one.source for one in result.contributions)
-    rows: list[tuple[Cell, ...]] = [_budget_row(source, by_arm) for source in sources]
-    combined = {arm: combined_mm(lines) for arm, lines in by_arm.items()}
-    rows.append(("combined, u", *(_or_unknown(value) for value in combined.values()), "", "root of the sum of squares"))
-    expanded = [None if value is None else COVERAGE * value for value in combined.values()]
-    coverage = f"k = {COVERAGE:g}, about 95 %"
-    rows.append(("expanded, U", *(_or_unknown(value) for value in expanded), "", coverage))
-    columns = columns_of("contribution", *((f"arm {arm}", ".4f") for arm in by_arm), "type", "basis")
-    return Table("Uncertainty of a measured position error [mm]", columns, tuple(rows))
-
-
 def instruments_table(result: CertificateResult) -> Table:
     """Show the instruments that were used."""
     fields = ("model", "serial", "calibrated", "due", "certificate")
@@ -269,28 +242,26 @@ def _error_rows(what: str, errors: Sequence[tuple[ErrorSummary | None, ErrorSumm
     return rows
 
 
-def _budget_row(source: str, by_arm: Mapping[str, Sequence[UncertaintyContribution]]) -> tuple[Cell, ...]:
-    """Return the row of one source for all arms; the basis is that of the arm with the largest contribution."""
-    found = {arm: next((one for one in lines if one.source == source), None) for arm, lines in by_arm.items()}
-    largest = max((one for one in found.values() if one is not None), key=lambda one: one.standard_mm or 0.0)
-    values = [None if one is None else _or_unknown(one.standard_mm) for one in found.values()]
-    return (source, *values, largest.evaluation, largest.basis)
+def _budget(title: str, lines: Sequence[tuple[UncertaintyContribution | AngleContribution, float | None]]) -> Table:
+    """Show contributions with their values, a column an arm; the basis is that of the arm with the largest one."""
+    arms = dict.fromkeys(one.where for one, _ in lines)
+    rows = list[tuple[Cell, ...]]()
+    for source, its in grouped((one.source, (one, value)) for one, value in lines).items():
+        values = {one.where: _or_unknown(value) for one, value in its}
+        largest, _ = max(its, key=lambda line: line[1] or 0.0)
+        rows.append((source, *map(values.get, arms), largest.evaluation, largest.basis))
+    together = [combined(value for one, value in lines if one.where == arm) for arm in arms]
+    rows.append(("combined, u", *map(_or_unknown, together), "", "root of the sum of squares"))
+    expanded = (None if value is None else COVERAGE * value for value in together)
+    rows.append(("expanded, U", *map(_or_unknown, expanded), "", f"k = {COVERAGE:g}, about 95 %"))
+    columns = columns_of("contribution", *((f"arm {arm}", ".4f") for arm in arms), "type", "basis")
+    return Table(title, columns, tuple(rows))
 
 
-def _iso_cells(
-    found: CertifiedCharacteristic | None, left: CertifiedCharacteristic | None
-) -> tuple[Cell, Cell, Cell, Cell]:
+def _iso_cells(found: CertifiedCharacteristic | None, left: CertifiedCharacteristic | None) -> tuple[Cell, ...]:
+    values = (None if one is None else one.value_mm for one in (found, left))
     last = left or found
-    return (
-        _without_minus_zero(found),
-        _without_minus_zero(left),
-        None if last is None else last.expanded_mm,
-        None if last is None else last.n,
-    )
-
-
-def _without_minus_zero(one: CertifiedCharacteristic | None) -> float | None:
-    return None if one is None else round(one.value_mm, 3) + 0.0
+    return (*values, None if last is None else last.expanded_mm, None if last is None else last.n)
 
 
 def _or_unknown(value: float | None) -> Cell:

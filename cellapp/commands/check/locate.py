@@ -14,7 +14,7 @@ from cellapp.cell.run.recordings import known_readings
 from cellapp.commands.check.request import CheckRequest
 from cellapp.commands.check.station import excess_of_readings, last_location, profile_at_station
 from cellapp.commands.confirm import confirmation
-from cellapp.commands.record import Work
+from cellapp.commands.record import Work, six_numbers
 from cellapp.commands.stages import RunStages, StoredStage, append_stage, basis_on_model, read_stages
 from cellapp.commands.stored_model import append_with_model, arms_stage, export_model, model_of
 from cellapp.estimation.calibration.station_location import displacement_m
@@ -79,15 +79,8 @@ def locate_run(
 
 def typed_pose(text: str, what: str) -> Pose:
     """Parse a pose ``x,y,z,roll,pitch,yaw`` [m, deg]. Raises ``InputError``, which begins with ``what``."""
-    try:
-        values = [float(part) for part in text.split(",")]
-        x, y, z, roll, pitch, yaw = values
-        if not np.isfinite(values).all():
-            raise ValueError
-    except ValueError:
-        raise InputError(
-            f"{what}: expected x,y,z,roll,pitch,yaw in m and deg, as 3.8,0.1,0.6,0,0,180; not '{text}'"
-        ) from None
+    expected = "x,y,z,roll,pitch,yaw in m and deg, as 3.8,0.1,0.6,0,0,180"
+    x, y, z, roll, pitch, yaw = six_numbers(what, text, expected)
     return Pose(position=(x, y, z), rpy=(math.radians(roll), math.radians(pitch), math.radians(yaw)))
 
 

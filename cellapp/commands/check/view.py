@@ -8,8 +8,8 @@ from cellapp.commands.check.request import CheckRequest
 from cellapp.commands.record import View
 from cellapp.commands.view.parts import Part
 from cellapp.commands.view.table import Cell, Table, columns_of, table_of, with_rows
-from cellapp.estimation.monitoring.records import TRACKER, CheckedStop, CheckResult, FoundChange, LocateResult
-from cellapp.ground.counting import counted, plain
+from cellapp.estimation.monitoring.records import TRACKER, CheckResult, FoundChange, LocateResult
+from cellapp.ground.counting import counted
 
 _VERDICTS = {
     "valid": "the calibration still holds",
@@ -74,23 +74,18 @@ def location_sentences(result: LocateResult) -> list[str]:
 
 
 def check_tables(result: CheckResult) -> list[Table]:
-    """Show each arm's errors, what changed, and every stop."""
-    return [_arm_table(result), *with_rows(_change_table(result), _stop_table(result))]
+    """Show each arm's errors, and what changed."""
+    return [_arm_table(result), *with_rows(_change_table(result))]
 
 
 def check_sentences(result: CheckResult) -> list[str]:
-    """State the verdict, its certainty, what moved and by how much, the remaining accuracy, and what to do."""
+    """State the verdict, its certainty, where a moved tracker stands, and what to do."""
+    shift_mm, turn_deg = result.station_shift_mm, result.station_turn_deg
+    moved = result.verdict == "tracker moved" and shift_mm is not None and turn_deg is not None
     return [
         verdict_sentence(result),
         evidence_sentence(result),
-        *_station_sentences(result),
-        *(change_sentence(one) for one in result.changes),
-        *[
-            f"arm {name}: predictions of the stored model are off by {arm.left_mm:.3f} mm rms over the calibration's"
-            " readings, without the noise of measuring"
-            for name, arm in result.arms.items()
-            if arm.left_mm is not None
-        ],
+        *([f"it stands {shift_mm:.3f} mm and {turn_deg:.4f} deg from where it was"] if moved else []),
         *(["the hidden physics of another profile was simulated for this check"] if result.simulated else []),
         *([f"next: {result.next_step}"] if result.next_step else []),
         *result.notes,
@@ -117,46 +112,16 @@ def evidence_sentence(result: CheckResult) -> str:
     )
 
 
-def change_sentence(change: FoundChange) -> str:
-    """Say what changed, by how much, and how sure that is."""
-    amount = "" if change.value is None else f" by {_amount(change)}"
-    rotated = "" if change.turned_mrad is None else f", and rotates its probe by {change.turned_mrad:.3f} mrad,"
-    return (
-        f"{change.words}{amount}: it moves the SMR by {change.moved_mm:.3f} mm{rotated} rms over the calibration's"
-        " readings"
-        f" (p {_chance(change.p_value)})"
-    )
-
-
 # -- inside -----------------------------------------------------------------------------------------------------------
 
 
-def _in_unit(unit: str) -> tuple[float, str]:
-    """Return the factor and display unit of a change: mm for lengths, mrad for angles."""
-    return _UNITS.get(unit, (1.0, unit))
-
-
-def _shown(change: FoundChange) -> tuple[float | None, float | None, str]:
-    """Return the amount, standard error and unit of a change for people."""
-    scale, unit = _in_unit(change.unit)
-    error = None if change.standard_error is None else change.standard_error * scale
-    return None if change.value is None else change.value * scale, error, unit
-
-
-def _amount(change: FoundChange) -> str:
-    value, error, unit = _shown(change)
-    amount = "" if value is None else plain(value, 4)
-    return f"{amount}{'' if error is None else f' +- {plain(error, 2)}'} {unit}".rstrip()
+def _in_unit(change: FoundChange, value: float | None) -> float | None:
+    """Return a value of a change in mm for lengths, in mrad for angles."""
+    return None if value is None else value * _UNITS.get(change.unit, (1.0, ""))[0]
 
 
 def _chance(p_value: float) -> str:
     return f"< {_LEAST_CHANCE:g}" if p_value < _LEAST_CHANCE else f"{p_value:.2g}"
-
-
-def _station_sentences(result: CheckResult) -> list[str]:
-    if result.verdict != "tracker moved" or result.station_shift_mm is None or result.station_turn_deg is None:
-        return []
-    return [f"it stands {result.station_shift_mm:.3f} mm and {result.station_turn_deg:.4f} deg from where it was"]
 
 
 def _arm_table(result: CheckResult) -> Table:
@@ -182,32 +147,11 @@ def _change_table(result: CheckResult) -> Table:
         result.changes,
         ("where", "arm"),
         ("what", "what"),
-        ("change", lambda one: _shown(one)[0], ".4g"),
-        ("standard error", lambda one: _shown(one)[1], ".2g"),
-        ("unit", lambda one: _shown(one)[2]),
+        ("change", lambda one: _in_unit(one, one.value), ".4g"),
+        ("standard error", lambda one: _in_unit(one, one.standard_error), ".2g"),
+        ("unit", lambda one: _UNITS.get(one.unit, (1.0, one.unit))[1]),
         ("SMR moves [mm]", "moved_mm", ".3f"),
         *((("probe rotates [mrad]", "turned_mrad", ".3f"),) if any(one.turned_mrad for one in result.changes) else ()),
         ("p", lambda one: _chance(one.p_value)),
         ("explains about as well", lambda one: ", ".join(one.rivals) or "nothing"),
-    )
-
-
-def _stop_table(result: CheckResult) -> Table:
-    def error_at(name: str, stop: CheckedStop, of: str = "error_mm") -> float | None:
-        return getattr(stop.points[name], of) if name in stop.points else None
-
-    return table_of(
-        "Check: errors and evidence stop by stop",
-        enumerate(result.stops, start=1),
-        ("stop", lambda row: row[0], "d"),
-        ("time [s]", lambda row: row[1].time_s, ".0f"),
-        *((f"{name} [mm]", lambda row, name=name: error_at(name, row[1]), ".3f") for name in result.arms),
-        *(
-            (f"{name} [mrad]", lambda row, name=name: error_at(name, row[1], "error_mrad"), ".3f")
-            for name, arm in result.arms.items()
-            if arm.rms_mrad is not None
-        ),
-        ("evidence of a change", lambda row: row[1].log_evidence, ".2f"),
-        ("evidence of none", lambda row: row[1].log_valid, ".2f"),
-        ("p", lambda row: _chance(row[1].p_value)),
     )

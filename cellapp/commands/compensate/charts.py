@@ -1,4 +1,4 @@
-"""Charts of targets: errors before and after, whether stated bounds hold, sources of the uncertainty."""
+"""Charts of targets: errors before and after."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from cellapp.cell.targets.records import VerifyResult
 from cellapp.commands.compensate.tables import measured_targets
-from cellapp.commands.compensate.words import Measured, bounds_and_errors, promise_words
+from cellapp.commands.compensate.words import Measured
 from cellapp.commands.view.charts import STAGE_STYLES, Axis, Chart, drawable_mm, noise_limit, series
 from cellapp.ground.counting import counted, mm
 
@@ -18,48 +18,19 @@ _NOT_YET = "No target was measured with both commands yet: push with verificatio
 
 
 def target_charts(verify: VerifyResult | None, floors_mm: Mapping[str, float | None]) -> list[Chart]:
-    """Show all charts of measured targets; ``floors_mm`` is the noise floor of each arm of the cell.
+    """Show the error at each target with and without compensation, a chart for each arm, in the order of the tables.
 
-    Always the errors of each arm; cooperative targets and bounds only if there are any.
+    Cooperative targets, if there are any, have one of the distance between both SMRs. ``floors_mm`` is the noise floor
+    of each arm of the cell.
     """
-    charts = [target_chart(name, verify, floor) for name, floor in floors_mm.items()]
-    if verify is None:
-        return charts
-    if verify.pairs:
-        charts.append(pair_chart(verify))
-    if bounds_and_errors(verify):
-        charts.append(bound_chart(verify))
+    charts = []
+    for name, floor_mm in floors_mm.items():
+        measured = [] if verify is None else measured_targets(verify, name)
+        charts.append(_errors(f"Arm {name}: targets", "measured error", measured, floor_mm))
+    if verify is not None and verify.pairs:
+        pairs = [pair for pair in verify.pairs if pair.nominal_mm is not None and pair.compensated_mm is not None]
+        charts.append(_errors("Cooperative targets", "error of the distance", pairs, None))
     return charts
-
-
-def target_chart(name: str, verify: VerifyResult | None, floor_mm: float | None) -> Chart:
-    """Show the measured error at each target of one arm without and with compensation, in the order of the table."""
-    measured = [] if verify is None else measured_targets(verify, name)
-    return _errors(f"Arm {name}: targets", "measured error", measured, floor_mm)
-
-
-def pair_chart(verify: VerifyResult) -> Chart:
-    """Show the error of the distance between both SMRs at each cooperative target, in the order of the table."""
-    measured = [pair for pair in verify.pairs if pair.nominal_mm is not None and pair.compensated_mm is not None]
-    return _errors("Cooperative targets", "error of the distance", measured, None)
-
-
-def bound_chart(verify: VerifyResult) -> Chart:
-    """Show the measured error by the model alone over its stated 95 % bound; below the line the bound holds."""
-    title, x, y = "Stated bounds", Axis("predicted 95 % bound", "mm", True), Axis("measured error", "mm", True)
-    known = {name: bounds_and_errors(verify, name) for name in verify.arms}
-    drawn = []
-    for style, (name, its) in enumerate(known.items()):
-        if its:
-            bound, error = np.array(its).T
-            drawn.append(series(f"arm {name}", drawable_mm(bound), drawable_mm(error), "points", style=style))
-    if not drawn:
-        return Chart(title, x, y, (), "No measured target has a predicted bound.")
-    ends = np.concatenate([values for one in drawn for values in (one.x, one.y)])  # bounds alone span too small a range
-    diagonal = np.array([ends.min(), ends.max()])
-    drawn.append(series("error = bound", diagonal, diagonal, "line", style=len(STAGE_STYLES) + 1, mark=":"))
-    message = f"{promise_words(verify)[0].capitalize()}: 95 % are to be expected."
-    return Chart(title, x, y, tuple(drawn), message)
 
 
 def _errors(title: str, label: str, measured: Sequence[Measured], floor_mm: float | None) -> Chart:

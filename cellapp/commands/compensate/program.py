@@ -28,7 +28,7 @@ from cellapp.cell.run.recordings import known_readings
 from cellapp.cell.run.run_arms import recorded_controllers
 from cellapp.commands.compensate.earlier_commands import refuse_corrected
 from cellapp.commands.compensate.request import CompensateRequest, program_kind
-from cellapp.commands.record import View
+from cellapp.commands.record import View, six_numbers
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of, require_own_factory, stage_in_force
 from cellapp.commands.view.table import Cell, Table, columns_of, with_rows
@@ -109,15 +109,7 @@ def correct(run: RunFile, request: CompensateRequest, outputs: Outputs = NEW_ONL
 
 def typed_tcp(text: str) -> Six:
     """Parse a TCP that a person typed: ``x,y,z,rx,ry,rz``. Raises ``InputError``."""
-    try:
-        numbers = [float(part) for part in text.removeprefix("p").strip("[] ").split(",")]
-        if not np.isfinite(numbers).all():
-            raise ValueError
-        tcp = six(numbers)
-    except ValueError:
-        raise InputError(
-            f"--tcp {text}: expected six numbers x,y,z,rx,ry,rz in m and rad, for example 0,0,0.12,0,0,0"
-        ) from None
+    tcp = six(six_numbers("--tcp", text, "x,y,z,rx,ry,rz in m and rad, as 0,0,0.12,0,0,0"))
     if np.abs(tcp[:3]).max() > 5.0:
         raise InputError(f"--tcp {text}: a TCP more than 5 m from the flange; positions are in metres")
     return tcp

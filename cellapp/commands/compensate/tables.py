@@ -1,4 +1,4 @@
-"""Tables of targets: commands, predictions, unknown conditions, refusals, and measurements.
+"""Tables of targets: commands, predictions, and measurements.
 
 A list may have thousands of targets: a table shows those that need attention most, in the order of the list.
 """
@@ -6,11 +6,14 @@ A list may have thousands of targets: a table shows those that need attention mo
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import partial
 from operator import itemgetter
+from typing import Any
 
 from cellapp.cell.targets.records import CompensateResult, MeasuredTarget, TargetCommand, VerifyResult
 from cellapp.commands.calibrate.view import MM, error_table
-from cellapp.commands.compensate.words import PART_WORDS, Measured, all_measured, arms_words, shown_tolerance
+from cellapp.commands.compensate.words import PART_WORDS, arms_words, shown_tolerance
 from cellapp.commands.view.table import Field, Table, urgent_rows, with_rows
 from cellapp.ground.grouping import grouped
 
@@ -20,22 +23,31 @@ _COMMANDS = {"uncompensated": "nominal", "compensated": "compensated", "correcte
 
 _DEG = ".2f"
 """Number format of joint angles in degrees."""
-_YES_NO = {True: "yes", False: "no", None: ""}
 _TARGET: tuple[Field, ...] = (("target", "name"), ("arm", "arm"))
-_BOUND: Field = ("95 % bound", "within_mm", MM)
-_TOLERANCE: Field = ("tolerance", lambda one: shown_tolerance(one.tolerance_mm), "g")
-_ROTATION_TOLERANCE: Field = ("tolerance", lambda one: shown_tolerance(one.orientation_tolerance_mrad), "g")
-_NUMBERED: tuple[Field, ...] = (("number", lambda row: str(row[0])), ("target", lambda row: row[1].name))
-"""First columns of rows (number, measurement)."""
+
+
+def _in(part: str, field: str) -> Callable[[Any], Any]:
+    """Return what reads a field of a part of a row; empty where the row has no such part, as an orientation."""
+    return lambda row: getattr(getattr(row, part), field, None)
+
+
+def _limit(field: str) -> Callable[[Any], float | None]:
+    """Return what reads a tolerance."""
+    return lambda row: shown_tolerance(getattr(row, field))
+
+
+_BOUND: Field = ("95 % bound", "within_mm", MM, "mm")
+_TOLERANCE: Field = ("tolerance", _limit("tolerance_mm"), "g", "mm")
+_ROTATION_TOLERANCE: Field = ("tolerance", _limit("orientation_tolerance_mrad"), "g", "mrad")
 _ERRORS: tuple[Field, ...] = (
-    ("before", lambda row: row[1].nominal_mm, MM),
-    ("after", lambda row: row[1].compensated_mm, MM),
-    ("corrected", lambda row: row[1].final_mm if len(row[1].rounds_mm) > 1 else None, MM),
+    ("before", "nominal_mm", MM, "mm"),
+    ("after", "compensated_mm", MM, "mm"),
+    ("corrected", lambda row: row.final_mm if len(row.rounds_mm) > 1 else None, MM, "mm"),
 )
 _MET: tuple[Field, ...] = (
-    ("tolerance", lambda row: shown_tolerance(row[1].tolerance_mm), "g"),
-    ("U", lambda row: row[1].expanded_mm if row[1].verdict else None, MM),
-    ("met", lambda row: row[1].verdict),
+    _TOLERANCE,
+    ("U", lambda row: row.expanded_mm if row.verdict else None, MM, "mm"),
+    ("met", "verdict"),
 )
 
 
@@ -60,52 +72,30 @@ def command_tables(result: CompensateResult) -> list[Table]:
 
 
 def predicted_tables(result: CompensateResult) -> list[Table]:
-    """Show whether commands should meet the tolerances; empty if no target has one."""
-    judged = [target for target in result.targets if target.tolerance_mm is not None]
-    tables = urgent_rows(
-        "Predicted: targets with a tolerance [mm]",
-        judged,
+    """Show what is expected at targets with a tolerance, or whose rotation is predicted, and whether it should be met.
+
+    Columns of the flange's rotation, and of the partner's flange seen from the first one, are there where they are
+    known.
+    """
+    rotation, relative = partial(_in, "orientation"), partial(_in, "relative")
+    return urgent_rows(
+        "Predicted at targets",
+        [one for one in result.targets if one.tolerance_mm is not None or one.orientation is not None],
         *_TARGET,
-        ("standard uncertainty", "uncertainty_mm", MM),
+        ("standard uncertainty", "uncertainty_mm", MM, "mm"),
         _BOUND,
         _TOLERANCE,
         ("tolerance met", lambda target: target.refusal or target.verdict),
-        urgency=_prediction_urgency,
-    )
-    return [*tables, *angle_tables(result), *_relative_tables(result)]
-
-
-def _relative_tables(result: CompensateResult) -> list[Table]:
-    """Show what is predicted of the partner's flange seen from the first one; empty without two probes."""
-    return urgent_rows(
-        "Predicted: the partner's flange seen from the first one",
-        [target for target in result.targets if target.relative is not None],
-        ("target", "name"),
-        ("arms", lambda one: arms_words((one.partner, one.arm))),
-        ("95 % bound [mm]", "relative.within_mm", MM),
-        ("tolerance [mm]", lambda one: shown_tolerance(one.tolerance_mm), "g"),
-        ("met", "relative.verdict"),
-        ("95 % bound [mrad]", "relative.within_mrad", MM),
-        ("tolerance [mrad]", lambda one: shown_tolerance(one.orientation_tolerance_mrad), "g"),
-        ("angle met", "relative.turn_verdict"),
-    )
-
-
-def angle_tables(result: CompensateResult) -> list[Table]:
-    """Show the flange's rotation: by the published geometry, uncertainty with the compensated command, tolerance.
-
-    Empty if no orientation was measured.
-    """
-    return urgent_rows(
-        "Predicted: rotation of the flange [mrad]",
-        [target for target in result.targets if target.orientation is not None],
-        *_TARGET,
-        ("before", "orientation.nominal_mrad", MM),
-        ("standard uncertainty", "orientation.uncertainty_mrad", MM),
-        ("95 % bound", "orientation.within_mrad", MM),
+        ("rotation before", rotation("nominal_mrad"), MM, "mrad"),
+        ("standard uncertainty", rotation("uncertainty_mrad"), MM, "mrad"),
+        ("95 % bound", rotation("within_mrad"), MM, "mrad"),
         _ROTATION_TOLERANCE,
-        ("tolerance met", "orientation.verdict"),
-        urgency=_rotation_urgency,
+        ("rotation met", rotation("verdict")),
+        ("partner: 95 % bound", relative("within_mm"), MM, "mm"),
+        ("met", relative("verdict")),
+        ("partner: 95 % bound", relative("within_mrad"), MM, "mrad"),
+        ("rotation met", relative("turn_verdict")),
+        urgency=_prediction_urgency,
     )
 
 
@@ -120,7 +110,6 @@ def uncertainty_tables(result: CompensateResult) -> list[Table]:
         ("together", "uncertainty_mm", MM),
         _BOUND,
         ("branches", "branches", "d"),
-        ("tracker sees it", lambda target: _YES_NO[target.visible]),
         urgency=lambda target: target.within_mm or 0.0,
     )
 
@@ -135,24 +124,29 @@ def measured_targets(verify: VerifyResult, arm: str) -> list[MeasuredTarget]:
 
 
 def measured_tables(verify: VerifyResult) -> list[Table]:
-    """Show each target with its errors, one table for each arm; cooperative targets; targets without measurement."""
-    return [*_arm_tables(verify), *measured_angle_tables(verify), *pair_tables(verify), *not_measured_tables(verify)]
-
-
-def measured_angle_tables(verify: VerifyResult) -> list[Table]:
-    """Show targets at which a probe measured the flange's rotation; empty if there are none."""
-    return urgent_rows(
-        "Measured: rotation of the flange, angle from the target [mrad]",
-        [target for target in verify.targets if target.orientation is not None],
-        *_TARGET,
-        ("before", "orientation.nominal_mrad", MM),
-        ("after", "orientation.final_mrad", MM),
-        ("95 % bound", "orientation.within_mrad", MM),
-        _ROTATION_TOLERANCE,
-        ("U", lambda target: target.orientation.expanded_mrad if target.orientation.verdict else None, MM),
-        ("met", "orientation.verdict"),
-        urgency=lambda target: (target.orientation and target.orientation.final_mrad) or 0.0,
-    )
+    """Show each target with its errors, one table for each arm; then cooperative targets."""
+    rotation = partial(_in, "orientation")
+    arms = [
+        table
+        for arm in verify.arms
+        for table in urgent_rows(
+            f"Arm {arm}: each target",
+            measured_targets(verify, arm),
+            ("target", "name"),
+            ("frame", lambda row: "" if row.frame == "base" else row.frame),
+            *_ERRORS,
+            _BOUND,
+            *_MET,
+            ("rotation before", rotation("nominal_mrad"), MM, "mrad"),
+            ("after", rotation("final_mrad"), MM, "mrad"),
+            ("95 % bound", rotation("within_mrad"), MM, "mrad"),
+            _ROTATION_TOLERANCE,
+            ("U", rotation("expanded_mrad"), MM, "mrad"),
+            ("rotation met", rotation("verdict")),
+            urgency=lambda row: row.final_mm or 0.0,
+        )
+    ]
+    return [*arms, *pair_tables(verify)]
 
 
 def all_measured_tables(verify: VerifyResult) -> list[Table]:
@@ -161,71 +155,42 @@ def all_measured_tables(verify: VerifyResult) -> list[Table]:
 
 
 def pair_tables(verify: VerifyResult) -> list[Table]:
-    """Show the error of the distance between both SMRs at cooperative targets; empty if there are none."""
-    measured = [pair for pair in verify.pairs if pair.compensated_mm is not None]
-    distances = urgent_rows(
-        "Cooperative targets: error of the distance between both SMRs [mm]",
-        list(enumerate(measured, start=1)),
-        *_NUMBERED,
-        ("arms", lambda row: arms_words(row[1].arms)),
-        ("distance", lambda row: row[1].wanted_mm, ".3f"),
+    """Show the error of the distance between both SMRs at cooperative targets; empty if there are none.
+
+    With two probes also the partner's flange seen from the first one.
+    """
+    relative = partial(_in, "relative")
+    return urgent_rows(
+        "Cooperative targets: error of the distance between both SMRs",
+        [pair for pair in verify.pairs if pair.compensated_mm is not None],
+        ("target", "name"),
+        ("arms", lambda pair: arms_words(pair.arms)),
+        ("distance", "wanted_mm", ".3f", "mm"),
         *_ERRORS,
         *_MET,
+        ("partner: before", relative("nominal_mm"), MM, "mm"),
+        ("after", relative("final_mm"), MM, "mm"),
+        ("95 % bound", relative("within_mm"), MM, "mm"),
+        ("met", relative("position_verdict")),
+        ("partner: before", relative("nominal_mrad"), MM, "mrad"),
+        ("after", relative("final_mrad"), MM, "mrad"),
+        ("95 % bound", relative("within_mrad"), MM, "mrad"),
+        ("rotation met", relative("verdict")),
     )
-    relative = urgent_rows(
-        "Cooperative targets: the partner's flange seen from the first one",
-        [pair for pair in measured if pair.relative is not None],
-        ("target", "name"),
-        ("before [mm]", "relative.nominal_mm", MM),
-        ("after [mm]", "relative.final_mm", MM),
-        ("95 % bound [mm]", "relative.within_mm", MM),
-        ("met", "relative.position_verdict"),
-        ("before [mrad]", "relative.nominal_mrad", MM),
-        ("after [mrad]", "relative.final_mrad", MM),
-        ("95 % bound [mrad]", "relative.within_mrad", MM),
-        ("angle met", "relative.verdict"),
-    )
-    return [*distances, *relative]
-
-
-def not_measured_tables(verify: VerifyResult) -> list[Table]:
-    """Show targets without measurement, single and cooperative, and why."""
-    without = [one for one in all_measured(verify) if one.note]
-    fields: tuple[Field, ...] = (("target", "name"), ("arm", _arms), ("reason", "note"))
-    return urgent_rows("Targets that were not measured", without, *fields)
-
-
-def _arm_tables(verify: VerifyResult) -> list[Table]:
-    return [
-        table
-        for arm in verify.arms
-        for table in urgent_rows(
-            f"Arm {arm}: each target [mm]",
-            list(enumerate(measured_targets(verify, arm), start=1)),
-            *_NUMBERED,
-            ("frame", lambda row: "" if row[1].frame == "base" else row[1].frame),
-            *_ERRORS,
-            ("95 % bound", lambda row: row[1].within_mm, MM),
-            *_MET,
-            urgency=lambda row: row[1].final_mm or 0.0,
-        )
-    ]
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
 
 
 def _prediction_urgency(target: TargetCommand) -> float:
-    """Return a sort key: refused targets first, then by the bound as a share of the tolerance."""
+    """Return a sort key: refused targets first, then by the bounds as shares of the tolerances."""
     if target.refusal:
         return math.inf
-    return (target.within_mm or target.uncertainty_mm or 0.0) / (target.tolerance_mm or math.inf)
-
-
-def _rotation_urgency(target: TargetCommand) -> float:
-    """Return a sort key: the bound of the flange's rotation as a share of its tolerance."""
-    within = 0.0 if target.orientation is None else target.orientation.within_mrad
-    return within / (target.orientation_tolerance_mrad or math.inf)
+    within_mrad = 0.0 if target.orientation is None else target.orientation.within_mrad
+    return max(
+        (target.within_mm or target.uncertainty_mm or 0.0) / (target.tolerance_mm or math.inf),
+        within_mrad / (target.orientation_tolerance_mrad or math.inf),
+    )
 
 
 def verification_tables(result: VerifyResult) -> list[Table]:
@@ -251,7 +216,3 @@ def verification_tables(result: VerifyResult) -> list[Table]:
         for what, unit in units.items()
     )
     return with_rows(*errors)
-
-
-def _arms(one: Measured) -> str:
-    return one.arm if isinstance(one, MeasuredTarget) else arms_words(one.arms)

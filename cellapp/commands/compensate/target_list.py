@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
-from typing import TypeVar
+from collections.abc import Sequence
+from dataclasses import dataclass
 
-from cellapp.cell.targets.records import MeasuredPair, MeasuredTarget, TargetCommand, TargetRecord
-from cellapp.cell.targets.targets import Target, same_target
+from cellapp.cell.targets.records import MeasuredPair, MeasuredTarget, TargetCommand
+from cellapp.cell.targets.targets import Target, definition
 from cellapp.commands.compensate.words import Measured, arms_words, shown_tolerance
 from cellapp.commands.run_results import RunResults
 from cellapp.commands.view.table import Cell, Table, columns_of
 from cellapp.ground.grouping import grouped
-
-R = TypeVar("R", bound=TargetRecord)
 
 _COLUMNS = columns_of(
     *("target", "arm", ("tol.", "g", "mm"), "state", "error [mm]", "frame"),
@@ -22,11 +19,6 @@ _COLUMNS = columns_of(
     *((axis, ".1f", "mm") for axis in ("x", "y", "z")),
     *((angle, ".2f", "°") for angle in ("roll", "pitch", "yaw")),
 )
-_MEASURED_WORDS = {
-    "in": "within tolerance, by its uncertainty",
-    "out": "out of tolerance, by its uncertainty",
-    "not decided": "not decided: nearer to its tolerance than its uncertainty",
-}
 COLUMN_GROUPS = (5, 6, 7, 9, 12, 15)
 """Numbers of columns that a narrow screen can show without splitting a position or a rotation."""
 
@@ -67,18 +59,13 @@ class TargetState:
     def verdict(self) -> str:
         """The worst verdict on the measurements; without any, on the predictions."""
         judged: list[Measured] = [*self.measured, *([] if self.pair is None else [self.pair])]
-        rotated = [one.orientation.verdict for one in judged if one.orientation is not None]
-        rotated += [] if self.pair is None or self.pair.relative is None else [self.pair.relative.position_verdict]
-        words: list[str] = [word for word in (*(one.verdict for one in judged), *rotated) if word]
-        if not words:
-            predicted = [one.orientation.verdict for one in self.commands if one.orientation is not None]
-            predicted += [
-                word
-                for one in self.commands
-                if one.relative is not None
-                for word in (one.relative.verdict, one.relative.turn_verdict)
-            ]
-            words = [*(one.verdict for one in self.commands), *predicted]
+        words = [verdict for one in judged for verdict in (one.verdict, getattr(one.orientation, "verdict", ""))]
+        if self.pair is not None and self.pair.relative is not None:
+            words.append(self.pair.relative.position_verdict)
+        if not any(words):
+            for one in self.commands:
+                words += [one.verdict, getattr(one.orientation, "verdict", "")]
+                words += [] if one.relative is None else [one.relative.verdict, one.relative.turn_verdict]
         return next((word for word in ("out", "not decided", "in") if word in words), "")
 
     @property
@@ -93,20 +80,10 @@ class TargetState:
 
 
 def stored_state(results: RunResults, name: str) -> TargetState | None:
-    """Return the newest results of a run for the target of this name; None if there are none."""
-    pushed = results.verify or results.push
-    commands = () if results.compensate is None else _named(results.compensate.targets, name)
-    measured = () if pushed is None else _named(pushed.targets, name)
-    if commands:  # measurements of an earlier target of that name do not count
-        measured = tuple(one for one in measured if one.definition == commands[0].definition)
-    if not commands and not measured:
-        return None
-    pairs = () if pushed is None else pushed.pairs
-    return TargetState(commands, measured, next((pair for pair in pairs if pair.name == name), None))
-
-
-def _named(stored: Sequence[R], name: str) -> tuple[R, ...]:
-    return tuple(entry for entry in stored if entry.name == name)
+    """Return the newest results of a run for the target of this name as it was compensated; None if it was not."""
+    known = () if results.compensate is None else results.compensate.targets
+    command = next((one for one in known if one.name == name), None)
+    return None if command is None else _states([(name, command.definition)], results)[0]
 
 
 def target_state(target: Target, results: RunResults | None) -> TargetState:
@@ -115,26 +92,29 @@ def target_state(target: Target, results: RunResults | None) -> TargetState:
 
 
 def target_states(targets: Sequence[Target], results: RunResults | None) -> list[TargetState]:
-    """Return what the run knows about each target; a result counts only if the target has not changed since.
+    """Return what the run knows about each target; a result counts only if the target has not changed since."""
+    keys = [(target.name, definition(target)) for target in targets]
+    return [TargetState()] * len(targets) if results is None else _states(keys, results)
+
+
+def _states(targets: Sequence[tuple[str, str]], results: RunResults) -> list[TargetState]:
+    """Return what is known about targets of these names and definitions.
 
     Of measurements and motions the last measurement counts; without one, the last motion.
     """
-    if results is None:
-        return [TargetState()] * len(targets)
-    commands = {} if results.compensate is None else grouped((one.name, one) for one in results.compensate.targets)
+    known = () if results.compensate is None else results.compensate.targets
+    commands = grouped(((one.name, one.definition), one) for one in known)
     pushes = [
-        (grouped((one.name, one) for one in pushed.targets), {pair.name: pair for pair in pushed.pairs})
+        (grouped(((one.name, one.definition), one) for one in pushed.targets), {one.name: one for one in pushed.pairs})
         for pushed in (results.verify, results.push)
         if pushed is not None
     ]
     states = []
     for target in targets:
-        state = TargetState(tuple(entry for entry in commands.get(target.name, ()) if same_target(target, entry)))
-        for measured, pairs in pushes:
-            found = tuple(one for one in measured.get(target.name, ()) if same_target(target, one))
-            if not state.measured and found:
-                state = replace(state, measured=found, pair=pairs.get(target.name))
-        states.append(state)
+        measured, pairs = next((one for one in pushes if target in one[0]), ({}, {}))
+        found = tuple(measured.get(target, ()))
+        pair = pairs.get(target[0]) if found else None
+        states.append(TargetState(tuple(commands.get(target, ())), found, pair))
     return states
 
 
@@ -144,61 +124,10 @@ def target_list(targets: Sequence[Target], results: RunResults | None) -> Table:
 
 
 def target_words(target: Target, results: RunResults | None) -> str:
-    """State what the run knows about one target, and its position."""
-    x, y, z = (f"{value * 1e3:z.1f}" for value in target.position)
-    rotation = "any rotation"
-    if target.rpy is not None:
-        rotation = "roll {:z.2f}, pitch {:z.2f}, yaw {:z.2f} deg".format(*(math.degrees(angle) for angle in target.rpy))
-    frame = "" if target.frame == "base" else f" in frame {target.frame}"
-    state = _state_words(target, target_state(target, results))
-    return f"{target.name}: {state}.\nx {x}, y {y}, z {z} mm{frame}; {rotation}"
-
-
-def _state_words(target: Target, state: TargetState) -> str:
-    if not state.commands and not state.measured:
-        return "not compensated yet as it is now"
-    words = []
-    if state.refusals:
-        words.append(f"refused: {'; '.join(state.refusals)}")
-    elif state.commands:
-        words.append(f"compensated; {_uncertainty_words(state.commands)}")
-    predicted = TargetState(state.commands).verdict
-    if predicted:
-        limits = [
-            f"{shown_tolerance(limit):g} {unit}"
-            for limit, unit in ((target.tolerance_mm, "mm"), (target.orientation_tolerance_mrad, "mrad"))
-            if limit is not None
-        ]
-        words.append(f"tolerance {' and '.join(limits)} predicted: {predicted}")
-    several = len(state.measured) > 1
-    for one in state.measured:
-        if (mm := one.final_mm) is not None:
-            arm = f"arm {one.arm} " if several else ""
-            before = "" if one.nominal_mm is None else f", {one.nominal_mm:.4f} mm without compensation"
-            words.append(f"{arm}measured {mm:.4f} mm from the target{before}{_rounds_words(one)}")
-    if state.pair is not None and (mm := state.pair.final_mm) is not None:
-        words.append(f"distance of both SMRs off by {mm:.4f} mm{_rounds_words(state.pair)}")
-    if state.pair is not None and (seen := state.pair.relative) is not None:
-        rotation = "" if seen.final_mrad is None else f" and {seen.final_mrad:.4f} mrad"
-        words.append(f"partner seen from the first flange off by {seen.final_mm:.4f} mm{rotation}")
-    if state.is_measured and state.verdict:
-        words.append(_MEASURED_WORDS[state.verdict])
-    return "; ".join([*words, *(note for note in state.notes if not state.refusals)])
-
-
-def _uncertainty_words(commands: Iterable[TargetCommand]) -> str:
-    known = [one.uncertainty_mm for one in commands if one.uncertainty_mm is not None]
-    if not known:
-        return "the model states no uncertainty"
-    bounds = [one.within_mm for one in commands if one.within_mm is not None]
-    within = f", 95 % of errors within {max(bounds):.4f} mm" if bounds else ""
-    return f"standard uncertainty of a coordinate {max(known):.4f} mm{within}"
-
-
-def _rounds_words(one: Measured) -> str:
-    """State the error by the model alone, if the target was corrected by measuring."""
-    rounds = len(one.rounds_mm) - 1
-    return "" if rounds < 1 else f" ({one.compensated_mm:.4f} mm by the model alone, {rounds} corrected)"
+    """State the row of one target in the list: a narrow screen has no room for all of its columns."""
+    table = target_list((target,), results)
+    cells = zip(table.headings[1:], table.text_rows()[0][1:], strict=True)
+    return f"{target.name}: {'; '.join(f'{heading} {text}' for heading, text in cells if text)}"
 
 
 def _row(target: Target, state: TargetState) -> tuple[Cell, ...]:

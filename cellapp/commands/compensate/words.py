@@ -59,11 +59,6 @@ def advice(reason: str) -> str:
     return next((text for word, text in _ADVICE.items() if word in reason), "")
 
 
-def all_measured(verify: VerifyResult) -> list[Measured]:
-    """Return single and cooperative targets together."""
-    return [*verify.targets, *verify.pairs]
-
-
 def shown_tolerance(tolerance_mm: float | None) -> float | None:
     """Return a tolerance without rounding errors of the conversion from metres."""
     return None if tolerance_mm is None else round(tolerance_mm, 6)
@@ -96,13 +91,7 @@ def compensate_lines(result: CompensateResult) -> list[str]:
 
 def compensate_summary(result: CompensateResult) -> list[str]:
     """State how many targets can be commanded and are predicted in or out, the largest bound, what is not seen."""
-    return [
-        _count_words(result),
-        *_prediction_words(result),
-        *_bound_words(result),
-        *_rotation_bounds_words(result),
-        *_unseen_words(result),
-    ]
+    return [_count_words(result), *_prediction_words(result), *_bound_words(result), *_unseen_words(result)]
 
 
 def refusal_lines(result: CompensateResult) -> list[str]:
@@ -150,24 +139,37 @@ def _count_words(result: CompensateResult) -> str:
 
 
 def _prediction_words(result: CompensateResult) -> list[str]:
-    judged = [target for target in result.targets if target.verdict]
-    if not judged:
-        return []
-    counts = [f"{sum(target.verdict == word for target in judged)} {word}" for word in ("in", "out", "not decided")]
-    out = dict.fromkeys(target.name for target in judged if target.verdict == "out")
-    named = f"; out: {named_few(list(out))}" if out else ""
+    """State how many targets are predicted in and out, by their position and by their rotation."""
+    positions = [(one.verdict, one.name) for one in result.targets if one.verdict]
+    rotations = [(its.verdict, one.name) for one in result.targets if (its := one.orientation) and its.verdict]
     rule = "in if the 95 % bound is inside the tolerance, out if the SMR is outside with 95 % probability"
-    return [f"tolerances, predicted: {', '.join(counts)}{named} ({rule}, else not decided: ISO 14253-1)"]
+    lines = []
+    for of, judged, why in (
+        ("", positions, f" ({rule}, else not decided: ISO 14253-1)"),
+        (" of orientation", rotations, ""),
+    ):
+        if judged:
+            counts = [
+                f"{sum(verdict == word for verdict, _ in judged)} {word}" for word in ("in", "out", "not decided")
+            ]
+            out = list(dict.fromkeys(name for verdict, name in judged if verdict == "out"))
+            named = f"; out: {named_few(out)}" if out else ""
+            lines.append(f"tolerances{of}, predicted: {', '.join(counts)}{named}{why}")
+    return lines
 
 
 def _bound_words(result: CompensateResult) -> list[str]:
-    bounds = [(target.within_mm, target.name) for target in result.targets if target.within_mm is not None]
-    if not bounds:
-        return []
-    largest, name = max(bounds)
-    median = float(np.median([bound for bound, _ in bounds]))
+    """State the median and the largest bound, of positions and of rotations."""
+    positions = [(one.within_mm, one.name) for one in result.targets if one.within_mm is not None]
+    rotations = [(one.orientation.within_mrad, one.name) for one in result.targets if one.orientation is not None]
     sided = "; for the side of approach that stands beside each" if any(one.approach for one in result.targets) else ""
-    return [f"95 % bound of the measured error: median {median:.3f} mm, largest {largest:.3f} mm at {name}{sided}"]
+    lines = []
+    for what, unit, bounds in (("error", "mm", positions), ("rotation", "mrad", rotations)):
+        if bounds:
+            (largest, name), median = max(bounds), np.median([bound for bound, _ in bounds])
+            words = f"median {median:.3f} {unit}, largest {largest:.3f} {unit} at {name}"
+            lines.append(f"95 % bound of the measured {what}: {words}{sided}")
+    return lines
 
 
 def common_words(result: CompensateResult | VerifyResult) -> list[str]:
@@ -177,24 +179,6 @@ def common_words(result: CompensateResult | VerifyResult) -> list[str]:
         f" common to all are {one.sentence}"
         for name, one in result.common.items()
     ]
-
-
-def _rotation_bounds_words(result: CompensateResult) -> list[str]:
-    """State flange rotations before, their bounds after, and their verdicts; empty if no orientation was measured."""
-    known = [(one.orientation, one.name) for one in result.targets if one.orientation is not None]
-    if not known:
-        return []
-    bounds = [rotation.within_mrad for rotation, _ in known]
-    largest = max(known, key=lambda row: row[0].within_mrad)[1]
-    before = [rotation.nominal_mrad for rotation, _ in known if rotation.nominal_mrad is not None]
-    was = f"; {np.mean(before):.3f} mrad in the mean without compensation" if before else ""
-    lines = [
-        f"95 % bound of the measured rotation: median {float(np.median(bounds)):.3f} mrad, largest"
-        f" {max(bounds):.3f} mrad at {largest}{was}"
-    ]
-    judged = [rotation.verdict for rotation, _ in known if rotation.verdict]
-    counts = [f"{judged.count(word)} {word}" for word in ("in", "out", "not decided")]
-    return [*lines, *([f"tolerances of orientation, predicted: {', '.join(counts)}"] if judged else [])]
 
 
 def _unseen_words(result: CompensateResult) -> list[str]:
@@ -273,22 +257,21 @@ def rounds_words(verify: VerifyResult) -> list[str]:
     """State the errors by the model alone, and after correction by measuring; empty without corrections."""
     lines = []
     for measured, what in ((verify.targets, ""), (verify.pairs, ", of the distance of both SMRs")):
-        corrected = [one for one in measured if one.corrected_mm is not None]
-        asked = sum(bool(one.rounds_mm) for one in measured)
-        if asked:
-            lines.append(
-                f"corrected by measuring{what}: {len(corrected)} of {counted(asked, 'target')}; the error of the"
-                " others is not significant, or no correction made it significantly smaller"
-            )
+        asked = [one for one in measured if one.rounds_mm]
+        corrected = [one for one in asked if one.corrected_mm is not None]
+        if not asked:
+            continue
+        brought = ""
         if corrected:
-            alone = np.mean([one.rounds_mm[0] for one in corrected])
-            last = np.mean([mm for one in corrected if (mm := one.final_mm) is not None])
+            errors_mm = np.array([(one.rounds_mm[0], one.final_mm) for one in corrected], dtype=np.float64)
+            alone, last = errors_mm.mean(axis=0)
             rounds = max(len(one.rounds_mm) for one in corrected) - 1
             times = f"{'up to ' if rounds > 1 else ''}{counted(rounds, 'correction')}"
-            lines.append(
-                f"the model alone came to {alone:.4f} mm in the mean{what};"
-                f" {times} by measuring brought it to {last:.4f} mm ({counted(len(corrected), 'target')})"
-            )
+            brought = f", from {alone:.4f} mm by the model alone to {last:.4f} mm in the mean, with {times}"
+        lines.append(
+            f"corrected by measuring{what}: {len(corrected)} of {counted(len(asked), 'target')}{brought}; the error of"
+            " the others is not significant, or no correction made it significantly smaller"
+        )
     return lines
 
 
@@ -301,22 +284,13 @@ def decision_words(verify: VerifyResult) -> list[str]:
 
 def promise_words(verify: VerifyResult) -> list[str]:
     """State how many errors by the model alone are within its bound; empty if it stated none."""
-    known = bounds_and_errors(verify)
-    if not known:
-        return []
-    kept = sum(error <= bound for bound, error in known)
-    return [
-        f"{kept} of {counted(len(known), 'measured error is', 'measured errors are')} within the predicted 95 % bound"
+    known = [
+        error <= one.within_mm
+        for one in verify.targets
+        if one.within_mm is not None and (error := one.compensated_mm) is not None
     ]
-
-
-def bounds_and_errors(verify: VerifyResult, arm: str | None = None) -> list[tuple[float, float]]:
-    """Return predicted 95 % bound and measured error [mm] by the model alone, for targets (of one arm) with both."""
-    return [
-        (target.within_mm, error)
-        for target in verify.targets
-        if arm in (None, target.arm) and target.within_mm is not None and (error := target.compensated_mm) is not None
-    ]
+    errors = counted(len(known), "measured error is", "measured errors are")
+    return [f"{sum(known)} of {errors} within the predicted 95 % bound"] if known else []
 
 
 def named_few(names: Sequence[str]) -> str:
@@ -326,7 +300,8 @@ def named_few(names: Sequence[str]) -> str:
 
 
 def _judged(verify: VerifyResult) -> list[Measured]:
-    return [one for one in all_measured(verify) if one.verdict]
+    measured: list[Measured] = [*verify.targets, *verify.pairs]
+    return [one for one in measured if one.verdict]
 
 
 def _tolerance_message(verify: VerifyResult) -> str:

@@ -12,7 +12,7 @@ import time
 import zipfile
 from collections.abc import Collection, Mapping
 from contextlib import suppress
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 
 from cellapp.cell.driving.diagnosis import LONGEST_PROBE_S
@@ -25,18 +25,6 @@ from cellapp.ground.profile import Profile
 from cellapp.ground.version import __version__
 from drivers.settings import SettingError
 
-_PACKAGES = (
-    "numpy",
-    "scipy",
-    "pydantic",
-    "textual",
-    "typer",
-    "ur-rtde",
-    "torch",
-    "python-fcl",
-    "pyserial",
-    "pythonnet",
-)
 _MOST_EVENTS = 1000
 _MOST_OF_A_FILE = 1024 * 1024
 """Most bytes of a text file that are packed, taken from its end."""
@@ -81,9 +69,11 @@ def newest_run(profile: Profile) -> Path | None:
 
 def _versions() -> dict[str, str]:
     found = {"cellapp": __version__, "python": platform.python_version(), "system": platform.platform()}
-    for package in _PACKAGES:
-        with suppress(PackageNotFoundError):
-            found[package] = version(package)
+    with suppress(PackageNotFoundError):
+        for requirement in requires("cellapp") or ():
+            package = re.split(r"[^\w.-]", requirement, maxsplit=1)[0]
+            with suppress(PackageNotFoundError):  # of an extra that is not installed
+                found[package] = version(package)
     return found
 
 

@@ -50,7 +50,7 @@ from cellapp.estimation.calibration.quantities import conditions_of_arms
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs, require_suffix, write_new
 from cellapp.ground.profile import Profile
-from cellapp.ground.results import CALIBRATE, COMPENSATE, DISCOVER, VERIFY
+from cellapp.ground.results import CALIBRATE, COMPENSATE, DISCOVER, VERIFY, StageName
 from cellapp.ground.shell import shell_word
 from cellapp.robot.kinematics.transforms import Array, xyz_of
 from cellapp.robot.model import CellModel
@@ -99,21 +99,21 @@ def export_commands(
 
 def _commands_stage(run: RunFile, stages: RunStages, name: str) -> StoredStage:
     """Return the stage whose commands are written; refuse one that no longer holds."""
-    if name not in (COMPENSATE, VERIFY):
+    folder = shell_word(run.folder)
+    made_by: dict[StageName, str] = {
+        COMPENSATE: f"cellapp compensate {folder} TARGETS",
+        VERIFY: f"cellapp push {folder} TARGETS --verify",
+    }
+    known = next((stage for stage in made_by if stage == name), None)
+    if known is None:
         raise InputError(f"export: commands are those of the stage {COMPENSATE} or {VERIFY}, not '{name}'")
-    known = COMPENSATE if name == COMPENSATE else VERIFY
-    stage = stages.current.get(known)
-    verb = (
-        f"cellapp compensate {shell_word(run.folder)} TARGETS"
-        if known == COMPENSATE
-        else f"cellapp push {shell_word(run.folder)} TARGETS --verify"
-    )
-    if stage is None:
-        raise InputError(f"export: {run.path} has no commands of '{name}'; nothing was written. Run '{verb}' first")
-    if known in stages.out_of_date:
-        reason = stages.out_of_date[known]
-        raise InputError(f"export: '{name}' is out of date ({reason}); nothing was written. Run '{verb}' again")
-    return stage
+    if (stage := stages.current.get(known)) is None:
+        why, again = f"{run.path} has no commands of '{name}'", "first"
+    elif known in stages.out_of_date:
+        why, again = f"'{name}' is out of date ({stages.out_of_date[known]})", "again"
+    else:
+        return stage
+    raise InputError(f"export: {why}; nothing was written. Run '{made_by[known]}' {again}")
 
 
 def _records(run: RunFile, stages: RunStages, stage: StoredStage) -> tuple[TargetCommand, ...]:
@@ -265,17 +265,6 @@ def _rigid_notes(run: RunFile, stages: RunStages, exports: Mapping[str, ArmExpor
                 f" {loss.words}: --stage calibrate writes it"
             )
     return notes
-
-
-def lost_by_arm(run: RunFile) -> list[str]:
-    """Say for each calibrated arm what a file of a rigid chain cannot represent."""
-    lines = []
-    for name, export in calibrated_arms(run, read_stages(run)).items():
-        loss = export.lost_together
-        words = "nothing" if loss is None else loss.words
-        parts = f" ({', '.join(export.lost)})" if export.lost else ""
-        lines.append(f"arm {name}{parts} {words}")
-    return lines
 
 
 def sentences(form: ExportFormat, export: ArmExport, profile: Profile) -> list[str]:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BeforeValidator, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from cellapp.commands.record import Asked, OutOfDate, Request, Stored, Variant, Verb
 from cellapp.estimation.iso9283.norm import ISO_COMMANDS, ISO_TESTS, NORM_CYCLES, NORM_DRIFT_MIN, IsoCommands, IsoTest
@@ -19,27 +19,13 @@ _HELP: Mapping[IsoTest, str] = {
     "path": "Path accuracy AT and repeatability RT, velocity AV, RV, FV, along a line and circles.",
     "cooperative": "Accuracy and repeatability between the SMRs of two arms.",
 }
-_FEWEST_CYCLES, _MOST_CYCLES = 2, 1000
-
-
-def _some(values: tuple[str, ...] | None) -> tuple[str, ...] | None:
-    if values == ():
-        raise ValueError("at least one is needed; none is marked")
-    return values
 
 
 def _kinds(given: Any) -> Any:
-    """Return the kinds of commands that one word names."""
+    """Return the kinds of commands that one word names; refuse none."""
+    if given == ():
+        raise ValueError("at least one is needed; none is marked")
     return ISO_COMMANDS if given == "both" else (given,) if isinstance(given, str) else given
-
-
-def _within(holds: Callable[[float], bool], expected: str, unit: str = "") -> AfterValidator:
-    def check(value: float) -> float:
-        if not holds(value):
-            raise ValueError(f"expected {expected}, got {value:g}{unit}")
-        return value
-
-    return AfterValidator(check)
 
 
 def _percents(values: tuple[float, ...]) -> tuple[float, ...]:
@@ -67,7 +53,7 @@ class Iso9283Request(Request):
     ] = False
     tests: Annotated[
         tuple[IsoTest, ...],
-        AfterValidator(_some),
+        Field(min_length=1),
         Asked(
             "Tests that are made.",
             label="tests",
@@ -83,7 +69,7 @@ class Iso9283Request(Request):
     ] = ISO_TESTS
     cycles: Annotated[
         int,
-        _within(lambda n: _FEWEST_CYCLES <= n <= _MOST_CYCLES, f"{_FEWEST_CYCLES} to {_MOST_CYCLES}"),
+        Field(ge=2, le=1000),
         Asked(
             f"Cycles of each test; the norm's number is {NORM_CYCLES['pose']}.",
             "N",
@@ -93,7 +79,7 @@ class Iso9283Request(Request):
     ] = NORM_CYCLES["pose"]
     speed: Annotated[
         float,
-        _within(lambda percent: 0.0 < percent <= 100.0, "a share above 0 % and up to 100 %", " %"),
+        Field(gt=0.0, le=100.0, allow_inf_nan=False),
         Asked(
             "Of the speed that the profile allows.",
             "PERCENT",
@@ -120,7 +106,6 @@ class Iso9283Request(Request):
     commands: Annotated[
         tuple[IsoCommands, ...] | None,
         BeforeValidator(_kinds),
-        AfterValidator(_some),
         Asked(
             "Nominal commands (as found), calibrated ones (as left); both if calibrated.",
             option="--with",
@@ -131,7 +116,7 @@ class Iso9283Request(Request):
     ] = None
     drift_minutes: Annotated[
         float,
-        _within(lambda minutes: 0.0 < minutes <= 2.0 * NORM_DRIFT_MIN, f"above 0 and up to {2.0 * NORM_DRIFT_MIN:g}"),
+        Field(gt=0.0, le=2.0 * NORM_DRIFT_MIN, allow_inf_nan=False),
         Asked(
             f"How long drift is observed; the norm's time is {NORM_DRIFT_MIN:g}.",
             "MIN",

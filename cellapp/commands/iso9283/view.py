@@ -2,35 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from cellapp.commands.certificate.judgements import found_in
 from cellapp.commands.iso9283.request import Iso9283Request
 from cellapp.commands.record import View
-from cellapp.commands.view.charts import Axis, Chart, Series, noise_limit, series
+from cellapp.commands.view.charts import Axis, Chart, series
 from cellapp.commands.view.parts import Part, Section, section_of
-from cellapp.commands.view.table import Field, Table, table_of
-from cellapp.commands.view.words import RULE_WORDS
+from cellapp.commands.view.table import Field, Table, table_of, with_rows
+from cellapp.commands.view.words import CHARACTERISTIC_WORDS, RULE_WORDS, judged_sentence, judgement_table
 from cellapp.estimation.iso9283.norm import ISO_COMMANDS, IsoCommands
-from cellapp.estimation.iso9283.records import CommandedTests, Iso9283Result, IsoValue, PoseCharacteristics, SpeedSeries
-from cellapp.estimation.uncertainty.records import overall
+from cellapp.estimation.iso9283.records import Iso9283Result, IsoValue
 from cellapp.ground.counting import counted, mm
-from cellapp.ground.results import Record
+from cellapp.ground.grouping import grouped
 
 _UNCERTAIN_SHARE = 0.25
 """The norm's limit of the measuring uncertainty, as a share of the characteristic (6.5)."""
-_VALUES: Mapping[str, Callable[[CommandedTests], Sequence[IsoValue]]] = {
-    "pose accuracy AP": lambda tests: [one.accuracy for one in tests.pose],
-    "distance accuracy AD": lambda tests: [one.accuracy for one in tests.distance],
-    "variation vAP": lambda tests: [one.variation for one in tests.multidirectional],
-    "path accuracy AT": lambda tests: [one.accuracy for one in tests.path],
-    "drift dAP": lambda tests: [] if tests.drift is None else [tests.drift.accuracy],
-}
-"""Characteristics in order of preference; the first measured one makes the message of an arm."""
 _COMMANDED: tuple[Field, ...] = (("arm", "arm"), ("commands", "commands"))
 """First columns of a table of ``_Commanded``."""
+_AT_SPEED: Field = ("speed", "speed_share", ".0f", "%")
 
 
 def view(result: Iso9283Result, request: Iso9283Request | None = None) -> View:
@@ -41,50 +34,36 @@ def view(result: Iso9283Result, request: Iso9283Request | None = None) -> View:
 
 
 def iso9283_section(result: Iso9283Result, about: str) -> Section:
-    """Show first what decides: judgements, poses, distances, tests; the other tables are folded."""
-    tables = _tables(result)
-    first, others = ([table for leads, table in tables if leads is asked] for asked in (True, False))
+    """Show first what decides; the other tables are folded."""
+    others = _other_tables(result)
     details = [Section(others, folded=True, title="All other characteristics")] if others else []
-    return section_of([*first, *iso9283_sentences(result), *iso9283_charts(result), *details], about=about)
+    first = [*_deciding_tables(result), *iso9283_sentences(result), *iso9283_charts(result)]
+    return section_of([*first, *details], about=about)
 
 
 def iso9283_tables(result: Iso9283Result) -> list[Table]:
     """Show judgements, characteristics of each test, and cubes; only what was measured."""
-    return [table for _, table in _tables(result)]
+    return [*_deciding_tables(result), *_other_tables(result)]
 
 
-def _tables(result: Iso9283Result) -> list[tuple[bool, Table]]:
-    """Return the non-empty tables in their order, each with whether it decides."""
-    tables = [
-        (True, _judgements(result)),
-        (True, _poses(result)),
-        (True, _orientations(result)),
-        (False, _series(result)),
-        (True, _cooperative(result)),
-        (False, _directions(result)),
-        (True, _distances(result)),
-        (False, _drift(result)),
-        (False, _paths(result)),
-        (False, _velocities(result)),
-        (True, _coverage(result)),
-        (False, _cubes(result)),
-    ]
-    return [(leads, table) for leads, table in tables if table.rows]
+def _deciding_tables(result: Iso9283Result) -> list[Table]:
+    measured = (_poses(result), _orientations(result), _cooperative(result), _distances(result))
+    return with_rows(judgement_table(result.judgements), *measured, _coverage(result))
+
+
+def _other_tables(result: Iso9283Result) -> list[Table]:
+    return with_rows(_directions(result), _drift(result), _paths(result), _velocities(result), _cubes(result))
 
 
 def iso9283_sentences(result: Iso9283Result) -> list[str]:
     """State the outcome; then conditions, what is missing, what limits the tests, notes."""
     return [
         _message(result),
+        *([judged_sentence(result.judgements)] if result.judgements else []),
         *([result.stopped] if result.stopped else []),
         *dict.fromkeys(RULE_WORDS[one.rule] for one in result.judgements),
         *_conditions(result),
         *_bases(result),
-        *(
-            f"arm {name}: the cube is limited by: {arm.cube.limited_by}"
-            for name, arm in result.arms.items()
-            if arm.cube
-        ),
         *_uncertain(result),
         *(f"missing: {words}" for words in result.missing),
         *_refused(result),
@@ -98,24 +77,19 @@ def iso9283_sentences(result: Iso9283Result) -> list[str]:
 
 
 def _message(result: Iso9283Result) -> str:
-    """State the results of the tests, against the tolerances if there are any."""
+    """State the first characteristic that was measured of each arm, and of two arms together."""
     parts = []
     for name, arm in result.arms.items():
-        for what, values in _VALUES.items():
-            if words := _largest({kind: values(tests) for kind, tests in arm.tests.items()}):
-                parts.append(f"arm {name} has a {what} of {words}")
-                break
+        measured = grouped(
+            (one.characteristic, (kind, one.value)) for kind in arm.tests for one in found_in(arm.tests[kind])
+        )
+        if measured:
+            what, values = next(iter(measured.items()))
+            parts.append(f"arm {name}: {CHARACTERISTIC_WORDS[what]} {_largest(grouped(values))}")
     for pair in result.pairs:
         if words := _largest({kind: [one.accuracy for one in poses] for kind, poses in pair.vector.items()}):
-            parts.append(f"{' and '.join(pair.arms)} together of {words}")
-    measured = "; ".join(parts) or f"tests by ISO 9283: {', '.join(result.tests)}"
-    verdict = {
-        "conforms": "all that has a tolerance conforms",
-        "does not conform": "not all that has a tolerance conforms",
-        "not decided": "not all can be decided against its tolerance",
-        None: "",
-    }[overall(result.judgements)]
-    return f"{measured}{f'; {verdict}' if verdict else ''}"
+            parts.append(f"{' and '.join(pair.arms)} together: {words}")
+    return "; ".join(parts) or f"tests by ISO 9283: {', '.join(result.tests)}"
 
 
 def _largest(values: Mapping[IsoCommands, Sequence[IsoValue]]) -> str:
@@ -154,12 +128,12 @@ def _bases(result: Iso9283Result) -> Iterator[str]:
 def _uncertain(result: Iso9283Result) -> Iterator[str]:
     """Yield arms whose repeatability the tracker cannot resolve by the norm's own rule."""
     for name, arm in result.arms.items():
-        poses = [pose for tests in arm.tests.values() for pose in tests.pose if _is_uncertain(pose)]
-        if poses:
+        poses = [pose for tests in arm.tests.values() for pose in tests.pose]
+        shown_mm = [(pose.tracker_rp_mm or 0.0, pose.repeatability.value_mm) for pose in poses]
+        if large_mm := [by_tracker for by_tracker, rp in shown_mm if by_tracker > _UNCERTAIN_SHARE * rp]:
             yield (
-                f"arm {name}: the tracker's stated uncertainty alone may show an RP of"
-                f" {max(pose.tracker_rp_mm or 0.0 for pose in poses):.3f} mm, more than a quarter of what was measured:"
-                " the arm's own may be much smaller"
+                f"arm {name}: the tracker's stated uncertainty alone may show an RP of {max(large_mm):.3f} mm, more"
+                " than a quarter of what was measured: the arm's own may be much smaller"
             )
 
 
@@ -171,25 +145,7 @@ def _refused(result: Iso9283Result) -> Iterator[str]:
             yield f"arm {name}: not tested: {tests}: {reason}"
 
 
-def _is_uncertain(pose: PoseCharacteristics) -> bool:
-    return pose.tracker_rp_mm is not None and pose.tracker_rp_mm > _UNCERTAIN_SHARE * pose.repeatability.value_mm
-
-
 # -- tables -----------------------------------------------------------------------------------------------------------
-
-
-def _judgements(result: Iso9283Result) -> Table:
-    return table_of(
-        "Characteristics against their tolerances",
-        result.judgements,
-        ("characteristic", lambda one: one.characteristic.replace("_", " ")),
-        ("of", "where"),
-        ("value", "value_mm", ".3f", "mm"),
-        ("U", "expanded_mm", ".3f", "mm"),
-        ("tolerance", "tolerance_mm", ".3f", "mm"),
-        ("verdict", "conformity"),
-        ("measured", "source"),
-    )
 
 
 def _poses(result: Iso9283Result) -> Table:
@@ -197,6 +153,7 @@ def _poses(result: Iso9283Result) -> Table:
         "Pose accuracy AP and repeatability RP [mm]",
         _measured(result, "pose"),
         *_COMMANDED,
+        _AT_SPEED,
         ("pose", "one.pose"),
         *_pair_fields("AP", "RP"),
     )
@@ -220,30 +177,17 @@ def _orientations(result: Iso9283Result) -> Table:
     )
 
 
-def _series(result: Iso9283Result) -> Table:
-    return table_of(
-        "Pose accuracy AP and repeatability RP at other speeds [mm]",
-        [_Commanded(name, kind, pose, tests) for name, kind, tests in _series_of(result) for pose in tests.pose],
-        *_COMMANDED,
-        ("speed", "of.speed_share", ".0f", "%"),
-        ("pose", "one.pose"),
-        *_pair_fields("AP", "RP"),
-    )
-
-
 def _cooperative(result: Iso9283Result) -> Table:
     rows = [
-        _Commanded(" and ".join(pair.arms), kind, *both)
+        _Commanded(" and ".join(pair.arms), kind, vector, distance=distance)
         for pair in result.pairs
         for kind in ISO_COMMANDS
-        for both in zip(pair.vector.get(kind, ()), pair.distance.get(kind, ()), strict=True)
+        for vector, distance in zip(pair.vector.get(kind, ()), pair.distance.get(kind, ()), strict=True)
     ]
     *vectors, n = _pair_fields("AP", "RP")
-    *distances, _ = _pair_fields("AD", "RD", "of")
+    *distances, _ = _pair_fields("AD", "RD", "distance")
     title = "Cooperative accuracy and repeatability [mm]: vector and distance between both SMRs"
-    return table_of(
-        title, rows, ("arms", "arm"), ("commands", "commands"), ("poses", "one.pose"), *vectors, *distances, n
-    )
+    return table_of(title, rows, *_COMMANDED, ("poses", "one.pose"), *vectors, *distances, n)
 
 
 def _directions(result: Iso9283Result) -> Table:
@@ -273,7 +217,7 @@ def _drift(result: Iso9283Result) -> Table:
     *pairs, _ = _pair_fields("dAP", "dRP")
     return table_of(
         "Drift at P1 [mm]",
-        [_Commanded(name, kind, tests.drift) for name, kind, tests in _tests_of(result) if tests.drift is not None],
+        _measured(result, "drift"),
         *_COMMANDED,
         ("observed", "one.minutes", ".0f", "min"),
         *pairs,
@@ -285,7 +229,7 @@ def _drift(result: Iso9283Result) -> Table:
 def _paths(result: Iso9283Result) -> Table:
     return table_of(
         "Path accuracy AT and repeatability RT [mm]",
-        _driven(result),
+        _measured(result, "path"),
         *_COMMANDED,
         ("path", "one.path"),
         ("speed", "one.speed_mm_s", ".0f", "mm/s"),
@@ -297,7 +241,7 @@ def _paths(result: Iso9283Result) -> Table:
 def _velocities(result: Iso9283Result) -> Table:
     return table_of(
         "Path velocity: accuracy AV, repeatability RV, fluctuation FV",
-        [row for row in _driven(result) if row.one.velocity is not None],
+        [row for row in _measured(result, "path") if row.one.velocity is not None],
         *_COMMANDED,
         ("path", "one.path"),
         ("commanded", "one.speed_mm_s", ".0f", "mm/s"),
@@ -309,12 +253,6 @@ def _velocities(result: Iso9283Result) -> Table:
         ("n", "one.velocity.n", "d"),
         ("programme", lambda row: row.one.slowed or "keeps the speed"),
     )
-
-
-def _driven(result: Iso9283Result) -> list[_Commanded]:
-    """Return every path with its arm and commands, at all speeds."""
-    series = [_Commanded(name, kind, one) for name, kind, at_speed in _series_of(result) for one in at_speed.path]
-    return [*_measured(result, "path"), *series]
 
 
 def _coverage(result: Iso9283Result) -> Table:
@@ -349,33 +287,35 @@ def _cubes(result: Iso9283Result) -> Table:
 # -- cells -------------------------------------------------------------------------------------------------------------
 
 
-def _tests_of(result: Iso9283Result) -> Iterator[tuple[str, IsoCommands, CommandedTests]]:
-    """Yield arm, commands and the tests with these commands."""
-    for name, arm in result.arms.items():
-        for kind in ISO_COMMANDS:
-            if kind in arm.tests:
-                yield name, kind, arm.tests[kind]
-
-
-def _series_of(result: Iso9283Result) -> Iterator[tuple[str, IsoCommands, SpeedSeries]]:
-    """Yield arm, commands and the tests repeated at another speed."""
-    for name, kind, tests in _tests_of(result):
-        for one in tests.series:
-            yield name, kind, one
-
-
 class _Commanded(NamedTuple):
-    """A measurement of an arm with one kind of commands; ``of`` is what it is part of, as a series of tests."""
+    """A measurement of an arm with one kind of commands; ``speed_share`` is of the profile's speed.
+
+    Of two arms, ``one`` is the vector between both SMRs, ``distance`` its length.
+    """
 
     arm: str
     commands: IsoCommands
     one: Any
-    of: Record | None = None
+    speed_share: float | None = None
+    distance: Any = None
 
 
 def _measured(result: Iso9283Result, what: str) -> list[_Commanded]:
-    """Return what one kind of test measured, by arm and commands."""
-    return [_Commanded(name, kind, one) for name, kind, tests in _tests_of(result) for one in getattr(tests, what)]
+    """Return what one kind of test measured, by arm, commands and speed."""
+    usual = None if result.conditions is None else result.conditions.speed_share
+    return [
+        _Commanded(name, kind, one, speed)
+        for name, arm in result.arms.items()
+        for kind in ISO_COMMANDS
+        if (tests := arm.tests.get(kind)) is not None
+        for speed, made in ((usual, tests), *((series.speed_share, series) for series in tests.series))
+        for one in _all(getattr(made, what, None))
+    ]
+
+
+def _all(found: Any) -> Sequence[Any]:
+    """Return what was found as a sequence: of drift there is one, or none."""
+    return found if isinstance(found, tuple) else () if found is None else (found,)
 
 
 def _pair_fields(first: str, second: str, of: str = "one") -> Iterator[Field]:
@@ -387,56 +327,15 @@ def _pair_fields(first: str, second: str, of: str = "one") -> Iterator[Field]:
 
 
 def iso9283_charts(result: Iso9283Result) -> list[Chart]:
-    """Show accuracy at the poses, with the tolerance of AP if it is judged, and drift; only non-empty charts."""
-    tolerances_mm = (one.tolerance_mm for one in result.judgements if one.characteristic == "pose_accuracy")
-    charts = (accuracy_chart(result, next(tolerances_mm, None)), drift_chart(result))
-    return [chart for chart in charts if not chart.is_empty]
-
-
-def accuracy_chart(result: Iso9283Result, tolerance_mm: float | None = None) -> Chart:
-    """Show AP of every arm at each pose, with each kind of commands."""
-    drawn: list[Series] = []
-    words = []
-    for name, arm in result.arms.items():
-        for kind in ISO_COMMANDS:
-            poses = arm.tests[kind].pose if kind in arm.tests else ()
-            if not poses:
-                continue
-            values = [pose.accuracy for pose in poses]
-            largest = max(value.value_mm for value in values)
-            numbers = [float(pose.pose[1:]) for pose in poses]
-            found = [value.value_mm for value in values]
-            title = f"arm {name}, {kind}"
-            drawn.append(series(title, numbers, found, "points", style=len(drawn)))
-            words.append(f"{title}: {mm(largest)}")
-    return Chart(
-        "Pose accuracy at the five poses",
-        Axis("pose P"),
-        Axis("AP", "mm", logarithmic=True),
-        tuple(drawn),
-        f"Largest pose accuracy AP, by arm and commands: {'; '.join(words)}.",
-        noise_limit(tolerance_mm, name="tolerance of AP"),
-    )
-
-
-def drift_chart(result: Iso9283Result) -> Chart:
-    """Show the displacement of the mean position at P1 from the first group of cycles, by arm."""
+    """Show the displacement of the mean position at P1 from the first group of cycles, by arm; empty without drift."""
     drawn, words = [], []
-    for style, (name, tests) in enumerate(_drifting(result)):
-        drift = tests.drift
-        assert drift is not None
-        errors = np.array([group.error_mm for group in drift.groups])
+    for style, row in enumerate(_measured(result, "drift")):
+        errors = np.array([group.error_mm for group in row.one.groups])
         moved = np.linalg.norm(errors - errors[0], axis=1)
-        drawn.append(series(f"arm {name}", [group.minutes for group in drift.groups], moved, style=style))
-        words.append(f"arm {name} {mm(drift.shift_mm)} in {drift.minutes:.0f} min")
-    message = f"The mean position at P1 moved by: {'; '.join(words)}." if words else "Drift was not measured."
-    return Chart("Drift at P1", Axis("after", "min"), Axis("displacement", "mm"), tuple(drawn), message)
-
-
-def _drifting(result: Iso9283Result) -> Iterator[tuple[str, CommandedTests]]:
-    for name, arm in result.arms.items():
-        for kind in reversed(ISO_COMMANDS):
-            tests = arm.tests.get(kind)
-            if tests is not None and tests.drift is not None:
-                yield name, tests
-                break
+        title = f"arm {row.arm}, {row.commands}"
+        drawn.append(series(title, [group.minutes for group in row.one.groups], moved, style=style))
+        words.append(f"{title}: {mm(row.one.shift_mm)} in {row.one.minutes:.0f} min")
+    message = f"The mean position at P1 moved by: {'; '.join(words)}."
+    return (
+        [Chart("Drift at P1", Axis("after", "min"), Axis("displacement", "mm"), tuple(drawn), message)] if drawn else []
+    )

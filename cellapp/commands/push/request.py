@@ -4,18 +4,12 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import AfterValidator
+from pydantic import Field
 
 from cellapp.commands.record import Asked, OutOfDate, Request, RunFolder, Stored, TargetsPath, Verb
 
 MOST_ROUNDS = 20
 """Most corrections of one target: each more than halves the remaining error, so further ones only follow the noise."""
-
-
-def _few(rounds: int | None) -> int | None:
-    if rounds is not None and not 1 <= rounds <= MOST_ROUNDS:
-        raise ValueError(f"expected 1 to {MOST_ROUNDS} rounds, got {rounds}; nothing was moved")
-    return rounds
 
 
 class PushRequest(Request):
@@ -26,7 +20,7 @@ class PushRequest(Request):
     verify: Annotated[bool, Asked("Measure where the SMR really goes.")] = False
     iterate: Annotated[
         int | None,
-        AfterValidator(_few),
+        Field(ge=1, le=MOST_ROUNDS),
         Asked(
             "correct the position that remains, not the rotation, at most N times a target.",
             "N",

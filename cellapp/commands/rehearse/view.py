@@ -32,11 +32,8 @@ def view(result: RehearseResult, request: Request | None = None) -> View:
             if one.seconds > _SLOW * one.expected_s + 1.0
         ),
         *result.notes,
+        f"missing: {', '.join(result.missing)}" if result.missing else "all rungs are passed",
     ]
-    if result.missing:
-        lines.append(f"missing: {', '.join(result.missing)}")
-    else:
-        lines.append("all rungs are passed")
     table = Table("Commanded and reached joint positions", columns, tuple(rows))
     failed = () if result.passed else (result.ended or "no stop was reached",)
     return View((table, *lines), failed)

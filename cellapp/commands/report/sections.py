@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import platform
-import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 
@@ -18,16 +17,7 @@ from cellapp.cell.run.measurement_order import order_sentences
 from cellapp.cell.run.run_arms import recorded_controllers
 from cellapp.commands.calibrate.charts import pair_held_out, pair_stop_chart, stop_error_chart, vector_charts
 from cellapp.commands.calibrate.detail_tables import calibration_facts, pair_tables
-from cellapp.commands.calibrate.view import (
-    cooperative_noise_mm,
-    cooperative_noise_mrad,
-    detailed_tables,
-    distance_mm,
-    motion_sentences,
-    parameter_tables,
-    transform_tables,
-    transform_words,
-)
+from cellapp.commands.calibrate.view import detailed_tables, motion_sentences, parameter_tables, transform_tables
 from cellapp.commands.check.view import location_view
 from cellapp.commands.check.view import view as check_view
 from cellapp.commands.collect.charts import residual_drift_chart
@@ -35,7 +25,6 @@ from cellapp.commands.collect.state import collection_state
 from cellapp.commands.collect.view import collection_section
 from cellapp.commands.compensate.view import paths_section, targets_section
 from cellapp.commands.discover.view import discovery_section
-from cellapp.commands.export.run import lost_by_arm
 from cellapp.commands.iso9283.view import iso9283_section
 from cellapp.commands.plan.view import plan_section
 from cellapp.commands.rehearse.result import kept_log
@@ -50,14 +39,12 @@ from cellapp.commands.view.table import Cell, Table, columns_of
 from cellapp.commands.view.words import RULE_WORDS, judged_sentence, judgement_table
 from cellapp.estimation.calibration.identification import start_from_nominal
 from cellapp.estimation.calibration.quantities import measured_minus_computed, position_errors
-from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.ground.counting import counted, mm
 from cellapp.ground.profile import Arm, Profile
 from cellapp.ground.results import CALIBRATE, CHECK, COMPENSATE, ISO9283, Provenance, StageName, best_method, day_of
 from cellapp.ground.version import __version__
 from cellapp.robot.kinematics.chain import hayati_rows, nominal_geometry, smr_positions
 from cellapp.robot.kinematics.transforms import Array
-from cellapp.robot.model import CellModel
 from cellapp.robot.model.nominal import controller_rows, published_rows
 
 _HASH = "SHA-256"
@@ -159,8 +146,12 @@ def _computed(arm: Arm, rows: Array, q: Array, p_M: Array, at: Array) -> Array:
     return smr_positions(start_from_nominal(chain, q, p_M, tool_unknown=True), at)
 
 
-_CHAIN_LENGTH = re.compile(r"[ad]\d")
-"""Pattern of the names of a chain's lengths: a1, d1 and so on."""
+_ABOUT_ACCURACY = (
+    "Nominal is the geometry of the manufacturer, geometry has the identified lengths and angles, network adds a"
+    ' residual network, effects adds the physical effects that discovery accepted instead. "95 %" is a percentile,'
+    ' "95 % of mean" the bootstrap interval of the mean. The noise floor is the error that the stated uncertainty of'
+    " the tracker alone would cause; without one there is none. 'cellapp docs glossary' explains the errors."
+)
 _MOST_EVENTS = 100
 """Newest events of the run's log that the report shows; the run file has all of them."""
 _OPEN = frozenset({"accuracy", "targets", "iso9283", "check", "discovery"})
@@ -219,7 +210,7 @@ def _accuracy(data: ReportData) -> Section:
     return Section(
         [*accuracy_charts(data), *detailed_tables(calibrate), *motion_sentences(calibrate)],
         message=_accuracy_message(data),
-        about=_accuracy_about(calibrate),
+        about=_ABOUT_ACCURACY,
     )
 
 
@@ -229,33 +220,6 @@ def accuracy_charts(data: ReportData) -> Iterator[Chart]:
         yield stop_error_chart(name, held_out, data.calibrate.arms[name].tracker_mm)
     if pair_held_out(data.calibrate):
         yield pair_stop_chart(data.calibrate)
-
-
-def _accuracy_about(calibrate: CalibrateResult) -> str:
-    """Say what the rows and columns are, and what the noise floor is."""
-    tracker = _tracker_words(calibrate)
-    floor = f"the error that the stated uncertainty of the tracker alone would cause ({tracker})"
-    return (
-        "Nominal is the geometry of the manufacturer, geometry has the identified lengths and angles, network adds a"
-        ' residual network, effects adds the physical effects that discovery accepted instead. "95 %" is a percentile,'
-        ' "95 % of mean" the bootstrap interval of the mean. '
-        + (f"The noise floor is {floor}." if tracker else "The readings state no uncertainty: there is no noise floor.")
-        + " 'cellapp docs glossary' explains the errors."
-    )
-
-
-def _tracker_words(calibrate: CalibrateResult) -> str:
-    """State the error that the tracker's uncertainty alone would cause, by arm and for the pair."""
-    words = [
-        f"arm {name}: position {arm.tracker_mm:.4f} mm, distance {distance_mm(arm.tracker_mm, arm.tracker_mm):.4f} mm"
-        for name, arm in calibrate.arms.items()
-        if arm.tracker_mm
-    ]
-    cooperative = cooperative_noise_mm(calibrate) if calibrate.pair else None
-    if cooperative is not None:
-        rotated = cooperative_noise_mrad(calibrate)
-        words.append(f"pair: cooperative {cooperative:.4f} mm" + ("" if rotated is None else f", {rotated:.4f} mrad"))
-    return "; ".join(words)
 
 
 def _accuracy_message(data: ReportData) -> str:
@@ -330,13 +294,6 @@ def _station(data: ReportData) -> Section | None:
 
 def _residuals(data: ReportData) -> Section:
     """Show residuals of the newest model over the run, those of the identified geometry as vectors, and the drift."""
-    residual = {
-        name: arm.validate_["geometry"].position_mm.rms
-        for name, arm in data.calibrate.arms.items()
-        if "geometry" in arm.validate_
-    }
-    words = enumerated(f"{mm(rms)} rms on arm {name}" for name, rms in residual.items())
-    message = f"The identified lengths and angles alone leave {words}; a pattern in the arrows is an effect."
     residuals_M = measured_minus_computed(data.model, data.readings)
     runs = (residual_drift_chart(name, data.readings[name].time_s, off) for name, off in residuals_M.items())
     vectors = (
@@ -347,16 +304,20 @@ def _residuals(data: ReportData) -> Section:
     )
     return Section(
         [*runs, *vectors, calibration_facts(data.calibrate)],
-        message=message if residual else "How the identification went, in numbers.",
+        message="What the model leaves, and how the identification went; a pattern in the arrows is an effect.",
         about="Residuals of the held-out configurations as arrows, enlarged; the black arrow gives the scale. Residuals"
         " in the tracker frame are specific to one tracker station; residuals in the base frame move with the arm.",
     )
 
 
 def _pair(data: ReportData) -> Section | None:
-    message = _pair_message(data.calibrate)
-    if not message:
+    pair = data.calibrate.pair
+    if (method := best_method(pair)) is None:
         return None
+    known = [one.value for axis in "xyz" if (one := pair[method].identified.get(axis)) is not None]
+    message = "Base of the second arm in the base of the first one."
+    if len(known) == len("xyz"):
+        message = f"The bases of both arms are {math.hypot(*known):.4f} m apart."
     return Section(
         [*transform_tables(data.calibrate), *pair_tables(data.calibrate)],
         message=message,
@@ -366,54 +327,21 @@ def _pair(data: ReportData) -> Section | None:
     )
 
 
-def _pair_message(calibrate: CalibrateResult) -> str:
-    """State the distance of the bases and how well both methods agree; empty without a pair."""
-    method = best_method(calibrate.pair)
-    if method is None:
-        return ""
-    estimates = [calibrate.pair[method].identified.get(axis) for axis in "xyz"]
-    known = [estimate for estimate in estimates if estimate is not None]
-    if len(known) < len(estimates):
-        return "Base of the second arm in the base of the first one."
-    distance = math.hypot(*(estimate.value for estimate in known))
-    message = f"The bases of both arms are {distance:.4f} m apart"
-    off = [estimate.value - estimate.by_tracker for estimate in known if estimate.by_tracker is not None]
-    if len(off) < len(known):
-        return f"{message}."
-    words = transform_words("distances", calibrate.pair[method])
-    return f"{message}; by {words} and by the tracker's frame this differs by {mm(1e3 * math.hypot(*off))}."
-
-
-def _parameters(data: ReportData, lost: list[str]) -> Section:
+def _parameters(data: ReportData) -> Section:
     in_force = values_in_force(data.calibrate, data.model)
-    tables = parameter_tables(in_force)
+    counts = (f"{len(arm.identified)} parameters of arm {name}" for name, arm in in_force.arms.items())
     others = (
         "Other programs read the geometry of the model in force: 'cellapp export DIR --as FORMAT --out FILE', with"
-        f" {', '.join(formats_of(ExportFormat))}. No file of a rigid chain holds the rest of the model; without it the"
-        f" SMR is off, over the workspace of the readings: {'; '.join(lost)}."
+        f" {', '.join(formats_of(ExportFormat))}. No file of a rigid chain holds the rest of the model: each"
+        " says by how much the SMR is off without it."
     )
     return Section(
-        [others, *tables],
-        message=_parameters_message(in_force, data.model),
+        [others, *parameter_tables(in_force)],
+        message=f"Identified: {enumerated(counts)}.",
         about="Lengths and angles of the chain from tracker to SMR (D-H, with a Hayati angle beta where axes are"
         " parallel), with one standard error, in the model in force. A parameter that these data cannot"
         " separate from others keeps its nominal value and is merged into the others.",
     )
-
-
-def _parameters_message(calibrate: CalibrateResult, model: CellModel) -> str:
-    """State how many parameters of each arm were identified, and the chain length that differs most from nominal."""
-    parts = []
-    for name, arm in calibrate.arms.items():
-        nominal = model.arms[name].nominal
-        values = dict(zip(nominal.names, nominal.vector().tolist(), strict=True))
-        changes = {key: arm.identified[key].value - values[key] for key in arm.identified if _CHAIN_LENGTH.match(key)}
-        words = f"{len(arm.identified)} parameters of arm {name}"
-        if changes:
-            key = max(changes, key=lambda length: abs(changes[length]))
-            words += f" ({key} is off nominal most, by {changes[key] * 1e3:+.3f} mm)"
-        parts.append(words)
-    return f"Identified: {enumerated(parts)}."
 
 
 def _collection(run: RunFile, data: ReportData) -> Section | None:
@@ -463,7 +391,7 @@ SECTIONS: Mapping[str, tuple[str, tuple[StageName, ...], Maker]] = {
     "power": ("What the plan can name", (), lambda run, _: detectability_section(run)),
     "rehearsal": ("Rehearsal", (), lambda run, _: None if (log := kept_log(run)) is None else log_section(log)),
     "collection": ("Collecting", (), _collection),
-    "parameters": ("Identified parameters", (CALIBRATE,), lambda run, data: _parameters(data, lost_by_arm(run))),
+    "parameters": ("Identified parameters", (CALIBRATE,), _of(_parameters)),
     "controllers": ("The controllers' own calibration", (CALIBRATE,), controllers_section),
     "notes": ("Warnings and notes", (), _of(_notes)),
     "provenance": ("Provenance", (), _of(_provenance)),

@@ -19,7 +19,7 @@ from cellapp.commands.report.data import ReportData, read_report_data
 from cellapp.commands.run_results import read_results
 from cellapp.commands.stages import HERE
 from cellapp.commands.view.charts import SMALLEST_MM
-from cellapp.commands.view.parts import Parts
+from cellapp.commands.view.parts import Parts, sentence
 from cellapp.commands.view.table import with_rows
 from cellapp.commands.view.words import (
     CHARACTERISTIC_WORDS,
@@ -154,7 +154,7 @@ def _found(data: ReportData) -> Iterator[Found]:
         for effect in arm.accepted:
             yield Found(f"Arm {name}: {effect.title}, {place_words(effect.where)}", _effect_words(effect), anchor)
         if not arm.accepted or arm.verdict in ("unknown effect", "ambiguous"):
-            yield Found(f"Arm {name}: {arm.verdict}", _capitalised(verdict_sentence(name, arm)) + ".", anchor)
+            yield Found(f"Arm {name}: {arm.verdict}", sentence(verdict_sentence(name, arm)), anchor)
 
 
 def _effect_words(effect: AcceptedEffect) -> str:
@@ -195,10 +195,6 @@ def _first_sentence(text: str) -> str:
     return first + stop.rstrip()
 
 
-def _capitalised(text: str) -> str:
-    return text[:1].upper() + text[1:]
-
-
 # -- The verdict on a run for a screen --------------------------------------------------------------------------------
 
 
@@ -211,8 +207,8 @@ def read_verdict(run: RunFile, today: date) -> tuple[Verdict, Parts]:
         data = read_report_data(run)
     except InputError:  # not calibrated yet
         judgements = judge_run(run.profile, read_results(run))
-        sentence = "Collect and calibrate first; tests by ISO 9283 with nominal commands need no calibration."
-        found, steps = Verdict(overall(judgements), "Not calibrated yet", sentence), list[Step]()
+        words = "Collect and calibrate first; tests by ISO 9283 with nominal commands need no calibration."
+        found, steps = Verdict(overall(judgements), "Not calibrated yet", words), list[Step]()
     else:
         judgements = data.judgements
         found, steps = verdict(data, judgements), list(_steps(data, judgements, today))
@@ -276,9 +272,7 @@ def before_after_figure(data: ReportData) -> BeforeAfterFigure | None:
 
     Errors are those measured at verified targets; without these, those at held-out configurations.
     """
-    rows = [row for name in data.calibrate.arms if (row := _arm_row(data, name)) is not None]
-    pair = _pair_row(data)
-    rows += [] if pair is None else [pair]
+    rows = list(_compared(data))
     if not rows:
         return None
     values = [value for row in rows for value in (row.before_mm, row.after_mm, row.largest_mm)]
@@ -288,42 +282,32 @@ def before_after_figure(data: ReportData) -> BeforeAfterFigure | None:
     return BeforeAfterFigure(tuple(rows), low, high, outdated + _message(rows))
 
 
-def _arm_row(data: ReportData, name: str) -> ComparedErrors | None:
-    tolerance = _millimetres(data.profile.tolerances.position)
-    verified = data.results.verified.arms.get(name)
-    if verified is not None:
-        return _verified_row(f"Arm {name}", verified, tolerance)
-    arm = data.calibrate.arms[name]
-    errors = arm.validate_
-    if "nominal" not in errors:
-        return None
-    best = errors[arm.best_stage].position_mm
-    return _row(
-        f"Arm {name}", counted(best.n, "held-out configuration"), errors["nominal"].position_mm, best, tolerance
-    )
+def _compared(data: ReportData) -> Iterator[ComparedErrors]:
+    """Yield the errors of every arm and of the pair that are known before and after."""
+    verified, tolerances = data.results.verified, data.profile.tolerances
+    for name, arm in data.calibrate.arms.items():
+        nominal, best = (arm.validate_.get(stage) for stage in ("nominal", arm.best_stage))
+        stages = (getattr(nominal, "position_mm", None), getattr(best, "position_mm", None))
+        yield from _errors(f"Arm {name}", verified.arms.get(name), stages, "configuration", tolerances.position)
+    pair = data.calibrate.pair
+    nominal_pair, best_pair = (pair.get(method) for method in ("nominal", best_method(pair) or "nominal"))
+    methods = (getattr(nominal_pair, "cooperative_mm", None), getattr(best_pair, "cooperative_mm", None))
+    yield from _errors("Cooperative", verified.cooperative, methods, "stop", tolerances.cooperative)
 
 
-def _pair_row(data: ReportData) -> ComparedErrors | None:
-    tolerance = _millimetres(data.profile.tolerances.cooperative)
-    if (verified := data.results.verified.cooperative) is not None:
-        return _verified_row("Cooperative", verified, tolerance)
-    best = best_method(data.calibrate.pair)
-    if best is None or "nominal" not in data.calibrate.pair:
-        return None
-    errors = data.calibrate.pair[best].cooperative_mm
-    nominal = data.calibrate.pair["nominal"].cooperative_mm
-    return _row("Cooperative", counted(errors.n, "held-out stop"), nominal, errors, tolerance)
-
-
-def _verified_row(label: str, verified: ArmVerification, tolerance: float | None) -> ComparedErrors:
-    after = verified.compensated_mm
-    return _row(label, f"{after.n} verified targets", verified.nominal_mm, after, tolerance)
-
-
-def _row(
-    label: str, source: str, before: ErrorSummary, after: ErrorSummary, tolerance_mm: float | None
-) -> ComparedErrors:
-    return ComparedErrors(label, source, before.mean, after.mean, after.max, tolerance_mm)
+def _errors(
+    label: str,
+    verified: ArmVerification | None,
+    held_out: tuple[ErrorSummary | None, ErrorSummary | None],
+    where: str,
+    tolerance_m: float | None,
+) -> Iterator[ComparedErrors]:
+    """Yield the verified errors of one arm or of the pair, else the held-out ones, if both are known."""
+    before, after = held_out if verified is None else (verified.nominal_mm, verified.compensated_mm)
+    if before is not None and after is not None:
+        source = f"{after.n} verified targets" if verified is not None else counted(after.n, f"held-out {where}")
+        tolerance_mm = None if tolerance_m is None else tolerance_m * 1e3
+        yield ComparedErrors(label, source, before.mean, after.mean, after.max, tolerance_mm)
 
 
 def _message(rows: Sequence[ComparedErrors]) -> str:
@@ -338,7 +322,3 @@ def _message(rows: Sequence[ComparedErrors]) -> str:
 
 def _factor(value: float) -> str:
     return f"{value:.0f}" if value >= 9.5 else f"{value:.1f}"
-
-
-def _millimetres(length_m: float | None) -> float | None:
-    return None if length_m is None else length_m * 1e3

@@ -21,16 +21,7 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.run.recordings import known_readings
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.stages import read_stages
-from cellapp.commands.trials.scoring import (
-    ArmFindings,
-    HiddenEffect,
-    JudgeResult,
-    Likeness,
-    NoiseLengths,
-    Outcome,
-    ScoredRun,
-    scores,
-)
+from cellapp.commands.trials.scoring import ArmFindings, HiddenEffect, JudgeResult, Likeness, Outcome, ScoredRun, scores
 from cellapp.commands.trials.sealed import DescribedTerm, GroundTruth, check_readings, check_seal, open_truth
 from cellapp.commands.trials.sealed_setup import HARD, POSITION
 from cellapp.estimation.calibration.quantities import ArmReadings
@@ -92,32 +83,24 @@ def _outcome(hidden: frozenset[str], accepted: frozenset[str]) -> Outcome:
 
 
 def _description(expected: DescribedTerm, described: Sequence[DescribedTerm]) -> Likeness:
-    """Rate the best match of a data-driven term; a channel in one direction counts as that channel."""
-    if expected.variables == (POSITION,):
-        return _field_description(described)
+    """Rate the best match of a data-driven term; a channel in one direction counts as that channel.
+
+    A field over the workspace is right with at least two variables of position, or with the word itself.
+    """
     best: Likeness = ""
     for term in described:
-        if term.channel != expected.channel and not term.channel.startswith(f"{expected.channel} "):
-            continue
-        if set(term.variables) == set(expected.variables):
-            return "right"
-        if set(term.variables) & set(expected.variables):
-            best = "part"
-    return best
-
-
-def _field_description(described: Sequence[DescribedTerm]) -> Likeness:
-    """Rate the description of a field over the workspace: at least two variables of position, or the word itself."""
-    best: Likeness = ""
-    for term in described:
-        of_space = term.channel.split(" ")[0] in _OF_SPACE
         variables = set(term.variables)
-        if of_space and any(variables and variables <= names for names in _POSITIONS):
-            if len(variables) > 1 or POSITION in variables:
-                return "right"
-            best = "part"
-        if of_space and POSITION in term.sentence:
+        if expected.variables == (POSITION,):
+            here = term.channel.split(" ")[0] in _OF_SPACE
+            part = any(variables and variables <= names for names in _POSITIONS)
+            right = POSITION in term.sentence or (part and (len(variables) > 1 or POSITION in variables))
+        else:
+            here = term.channel == expected.channel or term.channel.startswith(f"{expected.channel} ")
+            part, right = bool(variables & set(expected.variables)), variables == set(expected.variables)
+        if here and right:
             return "right"
+        if here and part:
+            best = "part"
     return best
 
 
@@ -307,9 +290,7 @@ def _findings(stored: StoredFindings, drawn_um: float) -> ArmFindings:
         verdict=found.verdict,
         sentence=found.sentence,
         heldout_um=BeforeAfter(before=found.heldout_mm.before * 1e3, after=found.heldout_mm.after * 1e3),
-        noise_um=NoiseLengths(
-            stated=None if found.noise_floor_mm is None else found.noise_floor_mm * 1e3, drawn=drawn_um
-        ),
+        noise_um=drawn_um,
         seconds=stored.seconds,
         cpu_seconds=stored.cpu_seconds,
     )

@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from cellapp.commands.trials.sealed import DescribedTerm, SealHeader
+from cellapp.commands.trials.sealed import DescribedTerm, HiddenLaw, SealHeader
 from cellapp.commands.trials.sealed_setup import MASS_ERROR, Setup
 from cellapp.commands.view.table import Interval, Number, Table, table_of, with_rows
 from cellapp.estimation.discovery.arm_data import UNKNOWN
@@ -23,7 +23,7 @@ from cellapp.ground.grouping import grouped
 from cellapp.ground.results import Record, Result, day_of
 from cellapp.robot.effects import EFFECTS
 
-EVERY, STATED, ACCEPTED = "every effect that the plan can show", "effects with a stated probability", "accepted names"
+EVERY, ACCEPTED = "every effect that the plan can show", "accepted names"
 """Groups of statements that are scored."""
 _BINS = 5
 
@@ -34,11 +34,10 @@ Statement = tuple[float, bool]
 def posterior_scores(runs: Sequence[ScoredRun]) -> tuple[PosteriorScore, ...]:
     """Score the statements in all arms; empty if there are none.
 
-    The groups are every effect that the plan can show (without a stated probability it counts as zero), effects with a
-    stated probability, and accepted names. Hidden effects below the noise do not count: no method can be expected to
-    see them.
+    The groups are every effect that the plan can show (without a stated probability it counts as zero), and accepted
+    names. Hidden effects below the noise do not count: no method can be expected to see them.
     """
-    about: dict[str, list[Statement]] = {EVERY: [], STATED: [], ACCEPTED: []}
+    about: dict[str, list[Statement]] = {EVERY: [], ACCEPTED: []}
     for run in runs:
         for arm, found in run.arms.items():
             if not found.posteriors:
@@ -47,15 +46,10 @@ def posterior_scores(runs: Sequence[ScoredRun]) -> tuple[PosteriorScore, ...]:
             present = {effect.effect for effect in hidden}
             left_out = {UNKNOWN, *found.invisible, *(effect.effect for effect in hidden if not effect.visible)}
             for slug in EFFECTS:
-                stated = found.posteriors.get(slug)
-                if slug in left_out:
-                    continue
-                statement = (stated or 0.0, slug in present)
-                about[EVERY].append(statement)
-                if stated is not None:
-                    about[STATED].append(statement)
-                if slug in found.names:
-                    about[ACCEPTED].append(statement)
+                if slug not in left_out:
+                    statement = (found.posteriors.get(slug, 0.0), slug in present)
+                    about[EVERY].append(statement)
+                    about[ACCEPTED] += [statement] if slug in found.names else []
     return tuple(_score(what, statements) for what, statements in about.items() if statements)
 
 
@@ -87,6 +81,7 @@ ENOUGH_CLEAN = 300
 _ONE, _SEVERAL, _OUTSIDE, _SECOND = 34, 13, 20, 50
 """Least trials for a limit to count: it then still tolerates one miss."""
 _BRIER = 0.05
+_LEAST, _MOST = "at least", "at most"
 _STATEMENTS = 100
 """Least stated probabilities for their Brier score to count."""
 
@@ -98,125 +93,96 @@ def targets(
     every = [found for run in runs for found in run.arms.values()]
     beside = [found for run in runs if run.arm for arm, found in run.arms.items() if arm != run.arm]
     known = [run for run in runs if run.kind in ("one", "pair", "triple")]
+    names, unknown = [bool(arm.names) for arm in clean], [arm.unknown for arm in clean]
+    false_beside = [bool(arm.accepted) or arm.unknown for arm in beside]
     wrong_below = [run.outcome not in ("none", "named") for run in known if run.kind == "one" and not run.visible]
     too_many = [bool(run.second_names) for run in runs if run.kind == "hard"]
-    false_beside = [bool(arm.accepted) or arm.unknown for arm in beside]
+    at_floor = [run.findings.to_drawn <= AT_FLOOR for run in known]
+    usual, slowest = ([arm.seconds <= limit_s for arm in every] for limit_s in (USUAL_S, SLOWEST_S))
     found = (
         *_names([run for run in known if run.visible]),
-        _at_most("none", "false names, by arm", 0.01, [bool(arm.names) for arm in clean], ENOUGH_CLEAN),
-        _at_most("none", "false unknown effects, by arm", 0.01, [arm.unknown for arm in clean], ENOUGH_CLEAN),
-        _at_most("beside", "false names, arms beside one that hides something", 0.01, false_beside, ENOUGH_CLEAN),
+        _share("none", "false names, by arm", _MOST, 0.01, names, ENOUGH_CLEAN),
+        _share("none", "false unknown effects, by arm", _MOST, 0.01, unknown, ENOUGH_CLEAN),
+        _share("beside", "false names, arms beside one that hides something", _MOST, 0.01, false_beside, ENOUGH_CLEAN),
         *_outside([run for run in runs if run.kind == "outside"]),
-        _at_most("hard", "a name too many", 0.02, too_many, _SECOND, bar=False),
-        _at_most("one", "below the noise: another name", 0.02, wrong_below, _SECOND, bar=False),
-        *_second([run for run in known if run.visible], [run for run in runs if run.kind == "outside"]),
+        _share("hard", "a name too many", _MOST, 0.02, too_many, _SECOND, bar=False),
+        _share("one", "below the noise: another name", _MOST, 0.02, wrong_below, _SECOND, bar=False),
         *(_brier(score) for score in posteriors if score.about in (EVERY, ACCEPTED)),
-        *_errors([run.findings for run in known]),
-        _at_least("all", f"one arm within {USUAL_S:g} s", 0.5, [arm.seconds <= USUAL_S for arm in every]),
-        _at_least("all", f"one arm within {SLOWEST_S:g} s", 1.0, [arm.seconds <= SLOWEST_S for arm in every]),
+        _share("one, pair, triple", "held out within 5 % of the sampled noise", _LEAST, 1.0, at_floor),
+        _share("all", f"one arm within {USUAL_S:g} s", _LEAST, 0.5, usual),
+        _share("all", f"one arm within {SLOWEST_S:g} s", _LEAST, 1.0, slowest),
     )
     return [target for target in found if target is not None]
 
 
 def _names(visible: Sequence[ScoredRun]) -> list[TargetScore | None]:
-    """Score exact names of visible effects."""
-    one = [run for run in visible if run.kind == "one"]
-    several = [run for run in visible if run.kind != "one"]
+    """Score the names of visible effects of the library: exactly those, and no further ones."""
+    one, several = ([run for run in visible if (run.kind == "one") is asked] for asked in (True, False))
+    exactly = [run.outcome == "named" for run in one]
+    among = [bool(run.in_answer_set) for run in one]
     ordinary = [run.outcome == "named" for run in several if not run.look_alikes]
     alike = [run.outcome == "named" for run in several if run.look_alikes]
+    beyond = [bool(run.second_names) for run in visible]
     return [
-        _at_least("one", "visible: exactly its name", 0.97, [run.outcome == "named" for run in one], _ONE),
-        _at_least("one", "visible: truth among the alternatives", 0.99, [bool(run.in_answer_set) for run in one]),
-        _at_least("pair, triple", "visible: exactly their names", 0.92, ordinary, _SEVERAL),
-        _at_least("pair", "visible, confounded: exactly their names", 0.92, alike),
+        _share("one", "visible: exactly its name", _LEAST, 0.97, exactly, _ONE),
+        _share("one", "visible: truth among the alternatives", _LEAST, 0.99, among),
+        _share("pair, triple", "visible: exactly their names", _LEAST, 0.92, ordinary, _SEVERAL),
+        _share("pair", "visible, confounded: exactly their names", _LEAST, 0.92, alike),
+        _share("one, pair, triple", "second names", _MOST, 0.02, beyond, _SECOND),
     ]
 
 
 def _outside(outside: Sequence[ScoredRun]) -> list[TargetScore | None]:
-    """Score laws outside the library; only above the noise."""
+    """Score laws outside the library: called unknown and described, above the noise; and no further names."""
     called = [run.findings.unknown for run in outside if run.visible]
     described = [run.description == "right" for run in outside if run.visible]
-    return [
-        _at_least("outside", "visible: called unknown", 0.95, called, _OUTSIDE),
-        _at_least("outside", "visible: right place and variables", 0.85, described, _OUTSIDE),
-    ]
-
-
-def _second(known: Sequence[ScoredRun], outside: Sequence[ScoredRun]) -> list[TargetScore | None]:
-    """Score names beyond those of the hidden effects."""
-    beyond = [bool(run.second_names) for run in known]
     further = [bool(run.second_names) for run in outside]
     return [
-        _at_most("one, pair, triple", "second names", 0.02, beyond, _SECOND),
-        _at_most("outside", "names beyond the one description", 0.02, further, _SECOND),
-    ]
-
-
-def _errors(known: Sequence[ArmFindings]) -> list[TargetScore | None]:
-    """Score held-out errors of arms that hide effects of the library."""
-    stated = [found.to_stated for found in known]
-    return [
-        _at_least(
-            "one, pair, triple",
-            "held out within 5 % of the sampled noise",
-            1.0,
-            [found.to_drawn <= AT_FLOOR for found in known],
-        ),
-        _at_least(
-            "one, pair, triple",
-            "the same against the assumed noise, which scatters",
-            1.0,
-            [ratio <= AT_FLOOR for ratio in stated if ratio is not None],
-        ),
+        _share("outside", "visible: called unknown", _LEAST, 0.95, called, _OUTSIDE),
+        _share("outside", "visible: right place and variables", _LEAST, 0.85, described, _OUTSIDE),
+        _share("outside", "names beyond the one description", _MOST, 0.02, further, _SECOND),
     ]
 
 
 def _brier(score: PosteriorScore) -> TargetScore:
     """Return the Brier score of some statements as a target."""
-    held = score.brier <= _BRIER
-    return TargetScore(
-        kind="all",
-        target=f"Brier score, {score.about}",
-        wanted=_BRIER,
-        at_most=True,
-        trials_wanted=_STATEMENTS,
-        reached=None,
-        n=score.n,
-        share=score.brier,
-        met=held if score.n >= _STATEMENTS or not held else None,
-        bar=True,
-    )
+    return _target("all", f"Brier score, {score.about}", _MOST, _BRIER, score.brier, score.n, _STATEMENTS)
 
 
-def _at_least(kind: str, what: str, wanted: float, hits: Sequence[bool], limit_from: int = 0) -> TargetScore | None:
-    """Return a target with a least share; a limit from ``limit_from`` trials on, if given."""
-    return _target(kind, what, wanted, hits, at_most=False, trials_wanted=max(limit_from, 1), bar=limit_from > 0)
-
-
-def _at_most(
-    kind: str, what: str, wanted: float, hits: Sequence[bool], trials_wanted: int, *, bar: bool = True
+def _share(
+    kind: str, what: str, sign: str, wanted: float, hits: Sequence[bool], enough: int = 0, *, bar: bool = True
 ) -> TargetScore | None:
-    return _target(kind, what, wanted, hits, at_most=True, trials_wanted=trials_wanted, bar=bar)
-
-
-def _target(
-    kind: str, what: str, wanted: float, hits: Sequence[bool], *, at_most: bool, trials_wanted: int, bar: bool
-) -> TargetScore | None:
-    """Return one target; None if it has no trials. Too few trials can refute it but not confirm it."""
+    """Return a share of hits as a target, a limit only from ``enough`` trials on; None without trials."""
     n, reached = len(hits), sum(hits)
     if not n:
         return None
-    held = reached <= wanted * n if at_most else reached >= wanted * n
+    return _target(kind, what, sign, wanted, reached / n, n, max(enough, 1), reached, bar=bar and enough > 0)
+
+
+def _target(
+    kind: str,
+    what: str,
+    sign: str,
+    wanted: float,
+    share: float,
+    n: int,
+    enough: int,
+    reached: int | None = None,
+    *,
+    bar: bool = True,
+) -> TargetScore:
+    """Return one target. Less than ``enough`` trials can refute it but not confirm it."""
+    held = share <= wanted if sign == _MOST else share >= wanted
     return TargetScore(
         kind=kind,
         target=what,
         wanted=wanted,
-        at_most=at_most,
-        trials_wanted=trials_wanted,
+        at_most=sign == _MOST,
+        trials_wanted=enough,
         reached=reached,
         n=n,
-        share=reached / n,
-        met=held if n >= trials_wanted or not held else None,
+        share=share,
+        met=held if n >= enough or not held else None,
         bar=bar,
     )
 
@@ -286,27 +252,9 @@ Likeness = Literal["", "part", "right"]
 """How far a description matches a law outside the library."""
 
 
-class NoiseLengths(Record):
-    """Rms length of the noise that the search assumed, and of the noise really sampled at the held-out stops [µm].
+class HiddenEffect(HiddenLaw):
+    """One hidden effect; ``visible`` is whether its visible size is above the noise."""
 
-    ``stated`` is None where the search had no number for it.
-    """
-
-    stated: float | None
-    drawn: float
-
-
-class HiddenEffect(Record):
-    """One hidden effect in short, as in ``truth.json``; ``law`` is empty for the plant's default one.
-
-    ``visible`` is whether its visible size is above the noise.
-    """
-
-    effect: str
-    plant: str
-    law: str = ""
-    raw_um: float
-    visible_um: float
     visible: bool = True
 
 
@@ -326,7 +274,7 @@ class ArmFindings(Record):
     verdict: str
     sentence: str = ""
     heldout_um: BeforeAfter
-    noise_um: NoiseLengths
+    noise_um: float
     seconds: float
     cpu_seconds: float
 
@@ -343,12 +291,7 @@ class ArmFindings(Record):
     @property
     def to_drawn(self) -> float:
         """Held-out rms over that of the noise really sampled at those stops."""
-        return self.heldout_um.after / self.noise_um.drawn
-
-    @property
-    def to_stated(self) -> float | None:
-        """Held-out rms over that of the assumed noise; None where the search had none."""
-        return self.heldout_um.after / self.noise_um.stated if self.noise_um.stated else None
+        return self.heldout_um.after / self.noise_um
 
 
 class ScoredRun(Record):
@@ -529,7 +472,7 @@ def _target_table(targets: Sequence[TargetScore]) -> Table:
 
 
 def _wanted(target: TargetScore) -> str:
-    sign = "at most" if target.at_most else "at least"
+    sign = _MOST if target.at_most else _LEAST
     wanted = f"{sign} {100 * target.wanted:.0f} %" if target.reached is not None else f"{sign} {target.wanted:g}"
     return wanted + (f" of {target.trials_wanted}" if target.n < target.trials_wanted else "")
 

@@ -191,7 +191,7 @@ def _parameter(name: str, field: FieldInfo, words: Asked, owner: str) -> inspect
     annotated: Any = Annotated
     kind = words.typed or _typed(field.annotation)
     annotation = annotated[(kind, shape, *([words.writes] if words.writes else []))]
-    return _keyword(name, annotation, inspect.Parameter.empty if field.is_required() or words.needed else field.default)
+    return _keyword(name, annotation, inspect.Parameter.empty if field.is_required() else field.default)
 
 
 def _keyword(name: str, annotation: Any, default: Any) -> inspect.Parameter:

@@ -22,14 +22,12 @@ if TYPE_CHECKING:
 def verb_job(verb: Verb, request: Request, outputs: Outputs = NEW_ONLY) -> Job:
     """Return the job of a verb; ``outputs`` says what it may replace."""
 
-    moves = verb.moves_arms and request.moves()
-
     def work(control: JobControl, ask: Ask) -> Result:
         given = Work(
             control,
             lambda profile_name: ask,
             outputs,
-            choose=lambda question, answers: answers[-1] if moves and ask(question) else "",
+            choose=lambda question, answers: answers[-1] if verb.moves_arms and ask(question) else "",
             write_page=write_page,
             certificate_page=draw_certificate,
         )
@@ -37,7 +35,7 @@ def verb_job(verb: Verb, request: Request, outputs: Outputs = NEW_ONLY) -> Job:
 
     folder = getattr(request, "folder", None)
     name = request.job_name() or verb.name
-    return Job(name, work, folder, moves=moves, verb=verb, request=request)
+    return Job(name, work, folder, moves=verb.moves_arms, verb=verb, request=request)
 
 
 def job_of(verb: Verb, **values: Any) -> Job:

@@ -19,10 +19,10 @@ from cellapp.cell.targets.compensate import compensate
 from cellapp.cell.targets.goals import work_frame_pose
 from cellapp.cell.targets.prediction import command_record
 from cellapp.cell.targets.records import VerifyResult
-from cellapp.cell.targets.targets import FramePoint, WorkFrame, load_targets, same_target
+from cellapp.cell.targets.targets import FramePoint, WorkFrame, definition, load_targets
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.certificate.view import certificate_sections, certificate_tables
-from cellapp.commands.compensate.tables import angle_tables, measured_angle_tables
+from cellapp.commands.compensate.tables import measured_tables, predicted_tables
 from cellapp.commands.compensate.target_list import target_states
 from cellapp.commands.compensate.view import view as compensated_view
 from cellapp.commands.discover.run import discover_run
@@ -124,8 +124,9 @@ def test_what_is_predicted_of_the_rotation_holds_when_it_is_measured(run: RunFil
     assert sure(arm.nominal_mrad).mean > 10.0 * sure(arm.compensated_mrad).mean
     assert {rotation.verdict for rotation in rotations if rotation is not None} == {"in"}
     assert verified.complaints() == []
-    (table,) = measured_angle_tables(verified)
-    assert len(table.rows) == len(LEFT)
+    (table,) = measured_tables(verified)
+    place = table.headings.index("rotation met")
+    assert [row[place] for row in table.rows] == ["in"] * len(LEFT)
 
 
 def test_the_nominal_command_is_off_by_what_was_predicted(run: RunFile, verified: VerifyResult) -> None:
@@ -133,7 +134,8 @@ def test_the_nominal_command_is_off_by_what_was_predicted(run: RunFile, verified
     for command, measured in zip(stored.targets, verified.targets, strict=True):
         assert measured.orientation is not None
         assert sure(command.orientation).nominal_mrad == pytest.approx(measured.orientation.nominal_mrad, abs=0.3)
-    assert angle_tables(stored)
+    (table,) = predicted_tables(stored)
+    assert "rotation before [mrad]" in table.headings
     assert any("95 % bound of the measured rotation" in str(part) for part in compensated_view(stored).parts)
 
 
@@ -154,7 +156,7 @@ def test_a_stored_measurement_is_not_one_of_another_tolerance(run: RunFile, veri
     known, other = target_states([LEFT[0], target], read_results(run))
     assert known.is_measured
     assert not other.measured
-    assert not same_target(target, verified.targets[0])
+    assert definition(target) != verified.targets[0].definition
 
 
 def test_an_error_beyond_its_tolerance_is_a_complaint(verified: VerifyResult) -> None:

@@ -20,7 +20,7 @@ from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.targets.compensate import compensate
 from cellapp.cell.targets.prediction import Command, command_record
 from cellapp.cell.targets.records import ArmVerification, CompensateResult, VerifyResult
-from cellapp.cell.targets.targets import Target, load_targets, same_target
+from cellapp.cell.targets.targets import Target, definition, load_targets
 from cellapp.commands.compensate.tables import measured_tables, predicted_tables
 from cellapp.commands.compensate.words import verify_lines
 from cellapp.commands.push.run import judge_of
@@ -177,8 +177,8 @@ def test_tolerances_are_predicted_measured_and_complained_about(run: RunFile, mo
     assert complaint.startswith(f"1 of 2 targets with a tolerance are out of it: {TARGETS[1].name} (0.0")
     assert complaint.endswith(" mm, tolerance 0.001 mm) (1 of these not proven with the uncertainty)")
     assert [row[-1] for row in measured_tables(found)[0].rows] == ["in", "not decided", ""]
-    assert all(same_target(target, stored) for target, stored in zip(targets, found.targets))
-    assert not same_target(targets[0].model_copy(update={"tolerance": None}), found.targets[0])
+    assert all(definition(target) == stored.definition for target, stored in zip(targets, found.targets))
+    assert definition(targets[0].model_copy(update={"tolerance": None})) != found.targets[0].definition
 
 
 def test_results_of_earlier_versions_are_read(run: RunFile, commands: tuple[Command, ...]) -> None:
@@ -190,7 +190,7 @@ def test_results_of_earlier_versions_are_read(run: RunFile, commands: tuple[Comm
     old = CompensateResult.from_json(json.dumps(content), "old")
     assert [target.verdict for target in old.targets] == ["", ""]
     assert predicted_tables(old) == []
-    assert not same_target(TARGETS[0], old.targets[0])
+    assert definition(TARGETS[0]) != old.targets[0].definition
 
 
 # -- Pushing in cells that nobody tried: one arm, three arms, seven joints, each with a model that is exact ------------
