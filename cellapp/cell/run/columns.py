@@ -447,6 +447,8 @@ _FASTEST_RAD_S = 12.0
 """Upper limit of joint speeds [rad/s]: no joint of an industrial arm is faster."""
 _REST_RAD, _REST_M = 1e-3, 2e-3
 """Ranges of joints and of the point within which an arm does not move."""
+_REST_RAD_S = 0.01
+"""Joint speeds [rad/s] up to which controllers report an arm at rest."""
 _GAP = 2.5
 """Multiple of the median step of the timestamps from which on a step is a gap."""
 
@@ -553,9 +555,13 @@ def joint_faults(columns: Columns, limits: NDArray[np.float64], *, dated: bool =
     if fast[joint] > _FASTEST_RAD_S:
         text = f"the joint rotates at {fast[joint]:.3g} rad/s; expected radians and seconds; {_DEGREES}"
         yield Implausible(None, f"q{joint + 1}", text)
+    fastest = float(np.abs(_matrix(columns, names["qd"])).max(initial=0.0))
     if float(np.ptp(q, axis=0).max()) < _REST_RAD:
-        yield Implausible(None, "q1..", f"no joint moves by {_REST_RAD:g} rad; expected a recording of a motion")
-    if names["qd"][0] in columns:
+        text = f"no joint moves by {_REST_RAD:g} rad; expected a recording of a motion"
+        if fastest > _REST_RAD_S:
+            text = f"{text}, as qd1.. reach {fastest:.3g} rad/s: give the joint positions of that motion"
+        yield Implausible(None, "q1..", text)
+    elif names["qd"][0] in columns:
         yield from _speed_unit(columns, names["qd"], q)
 
 
@@ -649,14 +655,15 @@ def _speed_unit(columns: Columns, names: tuple[str, ...], q: NDArray[np.float64]
 
 
 def _speed_ratio(time_s: NDArray[np.float64], q: NDArray[np.float64], qd: NDArray[np.float64]) -> float:
-    """Return the rms of stated speeds (n, N) over that of the motion of joint positions (n, N)."""
+    """Return the rms of stated speeds (n, N) over that of the motion of joint positions (n, N); NaN if these rest."""
     step = np.diff(time_s)
     usual = float(np.median(step[step > 0.0])) if (step > 0.0).any() else math.inf
     steady = (step > 0.5 * usual) & (step < _GAP * usual)
     moved = np.diff(q, axis=0)[steady]
     by_speed = 0.5 * (qd[1:] + qd[:-1])[steady] * step[steady, np.newaxis]
     known = np.isfinite(moved) & np.isfinite(by_speed)
-    return math.sqrt(float((by_speed[known] ** 2).sum()) / max(float((moved[known] ** 2).sum()), 1e-300))
+    motion = float((moved[known] ** 2).sum())
+    return math.sqrt(float((by_speed[known] ** 2).sum()) / motion) if motion else math.nan
 
 
 _DEG = math.pi / 180.0
