@@ -97,7 +97,7 @@ class ArmCells:
         (name,) = column.csv
         if name not in self.table.cells:
             return None
-        words = [text.strip() for text in self.texts(name)]
+        words = [unquoted_text(text.strip()) for text in self.texts(name)]
         for index, word in enumerate(words):
             if word and column.allowed and word not in column.allowed:
                 self.refuse(index, name, f"expected {column.expected}, got '{short(word)}'")
