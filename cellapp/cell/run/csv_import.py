@@ -88,7 +88,7 @@ def readings_from_csv(
         if orders:
             write_in_order(run, orders)
         if tied:
-            run.write_result(STATIONS_RESULT, tied)
+            run.write_document(STATIONS_RESULT, tied)
         for note in notes:
             run.log("note", note)
 

@@ -59,12 +59,10 @@ def utc_now() -> str:
     return datetime.now(UTC).isoformat(timespec="milliseconds")
 
 
-def select_document(connection: sqlite3.Connection, name: str) -> tuple[str, str] | None:
-    """Return when a stored document was written (UTC), and its text; None without one."""
-    found: tuple[str, str] | None = connection.execute(
-        "SELECT written, text FROM result WHERE name = ?", (name,)
-    ).fetchone()
-    return found
+def select_document(connection: sqlite3.Connection, name: str) -> str | None:
+    """Return the text of a stored document; None without one."""
+    found = connection.execute("SELECT text FROM result WHERE name = ?", (name,)).fetchone()
+    return None if found is None else str(found[0])
 
 
 def insert_document(connection: sqlite3.Connection, name: str, text: str) -> None:

@@ -109,7 +109,7 @@ def stations_text(first: str, ties: Mapping[str, StationTie], sentences: Sequenc
 def select_stations(connection: sqlite3.Connection) -> Poses:
     """Read the poses of a run's stations; empty if there are none."""
     document = select_document(connection, STATIONS_RESULT)
-    return {} if document is None else {name: np.array(T) for name, T in json.loads(document[1])["poses"].items()}
+    return {} if document is None else {name: np.array(T) for name, T in json.loads(document)["poses"].items()}
 
 
 def stored_tie_sentences(document: str | None) -> tuple[str, ...]:
