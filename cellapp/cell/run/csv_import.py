@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.cell.run.arm_cells import ArmCells, is_known, not_per_joint, read_arm, stem_and_joint
-from cellapp.cell.run.csv_text import CsvTable, Problems, check_names, read_csv_table
+from cellapp.cell.run.csv_text import CsvTable, Problems, read_csv_table
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.measurement_order import in_measured_order, order_fault, order_sentences, write_in_order
 from cellapp.cell.run.orientation_columns import names_with_quaternion, with_quaternions
@@ -216,7 +216,6 @@ def arms_of_table(
     beyond the ``limits`` (N, 2) [rad] of an arm than a revolution are refused.
     """
     problems = Problems(table.place)
-    check_names(table, problems)  # of all columns, before those of an orientation are replaced
     table, unsaid = with_quaternions(table)
     _check_header(table, problems)
     names = [name.strip() for name in table.cells["arm"]]

@@ -54,10 +54,14 @@ class CsvTable:
     """
 
     path: Path
-    names: tuple[str, ...]
     lines: tuple[int, ...]
     cells: dict[str, tuple[str, ...]]
     row_places: tuple[str, ...] | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the columns, in order."""
+        return tuple(self.cells)
 
     def place(self, line: int) -> str:
         """Return where a line is: "file:line", or the row of a table that is not a file."""
@@ -146,9 +150,10 @@ def read_csv_table(path: Path, what: str = "readings", row: str = "a row per arm
     InputError
         As ``csv_rows``.
     """
-    (_, names), *rows = csv_rows(path, what, row)
+    (head, names), *rows = csv_rows(path, what, row)
+    check_names(names, f"{path}:{head}")
     columns = zip(*(cells for _, cells in rows), strict=True) if rows else [()] * len(names)
-    return CsvTable(path, tuple(names), tuple(line for line, _ in rows), dict(zip(names, columns, strict=True)))
+    return CsvTable(path, tuple(line for line, _ in rows), dict(zip(names, columns, strict=True)))
 
 
 def csv_rows(path: Path, what: str, row: str) -> Iterator[tuple[int, list[str]]]:
@@ -184,13 +189,15 @@ def split_row(line: str, separator: str) -> list[str]:
     return [cell.strip() for cell in next(csv.reader([line], delimiter=separator), [])]
 
 
-def check_names(table: CsvTable, problems: Problems) -> None:
-    """Note columns without a name, and names that are there twice."""
-    for number, name in enumerate(table.names, start=1):
+def check_names(names: Sequence[str], place: str) -> None:
+    """Raise ``InputError`` for columns without a name, and for names that are there twice."""
+    problems = Problems(lambda _: place)
+    for number, name in enumerate(names, start=1):
         if not name:
-            problems.add(1, f"column {number}", "has no name; name it or remove it")
-    for name in dict.fromkeys(name for name in table.names if name and table.names.count(name) > 1):
-        problems.add(1, name, "the column is there twice; keep one")
+            problems.add(number, f"column {number}", "has no name; name it or remove it")
+        elif name in names[: number - 1]:
+            problems.add(number, name, "the column is there twice; keep one")
+    problems.check()
 
 
 def _named(names: Sequence[str]) -> list[str]:
@@ -359,9 +366,7 @@ def read_header(path: Path, what: str, example: str) -> CsvFile:
         seen[name] += 1
         names.append(f"{name} ({seen[name]})" if name and seen[name] > 1 else name)
     found = replace(found, names=tuple(names))
-    problems = Problems(lambda _: f"{path}:{found.head}")
-    check_names(CsvTable(path, found.names, (), {}), problems)
-    problems.check()
+    check_names(found.names, f"{path}:{found.head}")
     return found
 
 
@@ -501,7 +506,8 @@ def table_of_frame(frame: pd.DataFrame) -> CsvTable:
 
     Messages name rows by the index of the frame.
     """
-    names = tuple(str(name) for name in frame.columns)
+    names = [str(name) for name in frame.columns]
+    check_names(names, "data frame")
     columns = [column.astype(object).where(column.notna(), None).tolist() for _, column in frame.items()]
     cells = {
         name: tuple("" if one is None else str(one) for one in (whole(its) if name == CONFIGURATION.name else its))
@@ -512,7 +518,7 @@ def table_of_frame(frame: pd.DataFrame) -> CsvTable:
 
 def table_in_memory(name: str, cells: dict[str, tuple[str, ...]], places: Sequence[str]) -> CsvTable:
     """Return cells by column as a table; ``places`` say where each row is. Line 1 is the header, as in a file."""
-    return CsvTable(Path(name), tuple(cells), tuple(range(2, len(places) + 2)), cells, tuple(places))
+    return CsvTable(Path(name), tuple(range(2, len(places) + 2)), cells, tuple(places))
 
 
 def whole(values: Sequence[Any]) -> list[Any]:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from cellapp.cell.run.arm_cells import ArmCells
-from cellapp.cell.run.csv_text import CsvTable, Problems, check_names, read_csv_table
+from cellapp.cell.run.csv_text import CsvTable, Problems, read_csv_table
 from cellapp.cell.run.sqlite_file import select_document
 from cellapp.estimation.calibration.station_location import NestPoint, StationTie, TooFewNests, tie_stations
 from cellapp.estimation.readings import Readings
@@ -46,7 +46,6 @@ def read_reference_nests(path: Path, readings: Mapping[str, Readings]) -> tuple[
     row = "a row per nest and station"
     table = read_csv_table(Path(path), "reference nests", row)
     problems = Problems(table.place)
-    check_names(table, problems)
     for name in _COLUMNS:
         if name not in table.names:
             problems.add(1, name, f"the column is missing; expected {', '.join(_COLUMNS)} and perhaps {_SIGMA}")
