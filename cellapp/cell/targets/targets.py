@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import gc
 import hashlib
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -330,8 +329,7 @@ def load_targets(path: Path, profile: Profile) -> tuple[Target, ...]:
         With file, line and target of the first problems.
     """
     joints = {name: len(arm.type.joints) for name, arm in profile.arms.items()}
-    with _collector_paused():
-        return targets_of(_document(Path(path), joints), profile)
+    return targets_of(_document(Path(path), joints), profile)
 
 
 def named_targets(profile: Profile, path: Path) -> tuple[Target, ...]:
@@ -429,18 +427,6 @@ def definition(target: Target) -> str:
     if target.partner is not None and not target.holds_first:
         later["partner"] = {"moves": True}
     return hashlib.sha256(target.model_dump_json(exclude=later).encode()).hexdigest()[:_DIGEST]
-
-
-@contextlib.contextmanager
-def _collector_paused() -> Iterator[None]:
-    """Pause the cyclic garbage collector, which would take most of the time for a long list."""
-    enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if enabled:
-            gc.enable()
 
 
 # -- what is written --------------------------------------------------------------------------------------------------
