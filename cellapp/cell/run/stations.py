@@ -187,25 +187,22 @@ def _off(rows: Mapping[int, NestPoint], first: str) -> Iterator[tuple[int, str]]
     points = list(rows.values())
     if _worst(first, points)[0] <= _OFF:
         return
-    best: tuple[float, int, float] | None = None
+    without = list[tuple[float, int, float]]()
     for line, one in rows.items():
-        if one.station == first:
-            continue
         others = [other for other in points if other is not one]
         try:
             worst, ties = _worst(first, others)
         except TooFewNests:
             continue
         known = [apply(_pose(ties, o.station), o.p[None])[0] for o in others if o.nest == one.nest]
-        if known and one.station in ties and (best is None or worst < best[0]):
+        if known and one.station in ties:
             off = float(np.linalg.norm(apply(ties[one.station].T, one.p[None])[0] - np.mean(known, axis=0)))
-            best = worst, line, off
-    if best is not None:
-        one = rows[best[1]]
+            without.append((worst, line, off))
+    for _, line, off in sorted(without)[:1]:
         yield (
-            best[1],
-            f"'{one.nest}' of station '{one.station}' is off by {1e3 * best[2]:.2f} mm from where the other nests have"
-            " it; did it move, or are names exchanged?",
+            line,
+            f"'{rows[line].nest}' of station '{rows[line].station}' is off by {1e3 * off:.2f} mm from where the other"
+            " nests have it; did it move, or are names exchanged?",
         )
 
 
