@@ -132,20 +132,20 @@ def _of_arrays(profile: Profile, name: str, quantities: Mapping[str, Any]) -> Re
             raise InputError(f"arm {name}: {column.name} is missing; expected an array {shape}")
     n = len(np.atleast_1d(np.asarray(quantities["q"], dtype=object)))
     given = {CONFIGURATION.name: np.arange(n)} | {key: its for key, its in quantities.items() if its is not None}
-    return Readings(
-        **{
-            column.name: _array(f"arm {name}: {column.name}", column, given[column.name], n, joints)
-            if column.name in given
-            else column.missing(n, joints)
-            for column in COLUMNS
-        }
-    )
+    values: dict[str, Any] = {
+        column.name: _array(f"arm {name}: {column.name}", column, given[column.name], n, joints)
+        if column.name in given
+        else column.missing(n, joints)
+        for column in COLUMNS
+    }
+    return Readings(**values)
 
 
 def _array(where: str, column: Column, value: ArrayLike, n: int, joints: int) -> Values:
     """Convert a quantity to an array of its shape, or to n words."""
+    dtype = object if column is CONFIGURATION or column.dtype is str else np.float64
     try:
-        array = np.asarray(value, dtype=object if column is CONFIGURATION or column.dtype is str else np.float64)
+        array = np.asarray(value, dtype=dtype)
     except (TypeError, ValueError):
         raise InputError(f"{where} is no array of numbers; expected shape {_shape_words(column, joints)}") from None
     if array.ndim == 0 and column.shape == "scalar" and column is not CONFIGURATION:

@@ -240,7 +240,7 @@ def arms_of_table(
         kept, said = _seen(cells, result)
         seen += said
         if kept:
-            kept.sort(key=result.configuration.__getitem__)
+            kept.sort(key=result.configuration.tolist().__getitem__)
             readings[arm], lines[arm] = result.take(kept), [cells.line(row) for row in kept]
     problems.check()
     notes = [*seen, *_notes(table, joint_counts, readings), *unsaid, *order_sentences(orders)]

@@ -396,10 +396,7 @@ def predicted_relative(
     if not len(first.q) or None in (*first.rotations, *second.rotations, *first.positions, *second.positions):
         return [None] * len(first.q)
     model, measured = relative_covariances(first, second)
-    distances, angles = (
-        _bounds(*covariances, tolerances)
-        for *covariances, tolerances in zip(model, measured, (tolerances_mm, tolerances_mrad), strict=True)
-    )
+    distances, angles = (_bounds(*its) for its in zip(model, measured, (tolerances_mm, tolerances_mrad), strict=True))
     return [
         PredictedRelative(within_mm=within_mm, within_mrad=within_mrad, verdict=verdict, turn_verdict=turn_verdict)
         for (within_mm, verdict), (within_mrad, turn_verdict) in zip(distances, angles, strict=True)

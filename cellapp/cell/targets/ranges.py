@@ -40,6 +40,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -596,12 +597,15 @@ def _over_range(
         return None
     shift, n = _shift_by(arm, terms, q, conditions.R_M_S), len(q)
 
-    def at(place: float, span: tuple[float, float] | Array | None) -> Array | None:
-        return None if span is None else np.full((n, *np.shape(span)[1:]), span[0] + place * (span[1] - span[0]))
+    def at(place: float) -> MeasurementConditions:
+        values: dict[str, Any] = {
+            key: None if span is None else np.full((n, *np.shape(span)[1:]), span[0] + place * (span[1] - span[0]))
+            for key, span in spans.items()
+        }
+        return replace(conditions, **values)
 
     default = shift(conditions)
-    each = ({key: at(place, span) for key, span in spans.items()} for place in _POINTS.tolist())
-    moved = np.array([shift(replace(conditions, **values)) - default for values in each])
+    moved = np.array([shift(at(place)) - default for place in _POINTS.tolist()])
     moved = np.where(_unstated(conditions, condition, n)[:, None], moved, 0.0)
     largest = np.linalg.norm(moved, axis=2).max(axis=0)
     covariance = np.einsum("pna,pnb->nab", moved, moved) / len(moved)
