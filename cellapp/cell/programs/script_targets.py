@@ -128,12 +128,8 @@ class _TargetReader:
     def __init__(self, program: ParsedProgram, where: str, tcp: Six | None) -> None:
         self._program, self._constants = program, Constants(program)
         self._goals: list[_Goal | None] = []
-        self._tcps = [
-            (statement, call)
-            for statement in program.statements
-            for call in _calls(statement)
-            if function_of(call) == "set_tcp"
-        ]
+        self._calls = [(statement, call) for statement in program.statements for call in _calls(statement)]
+        self._tcps = [(statement, call) for statement, call in self._calls if function_of(call) == "set_tcp"]
         self._given = tcp
         if tcp is not None and self._tcps:
             raise InputError(
@@ -152,20 +148,20 @@ class _TargetReader:
 
         A call of it is a motion to what it is given; ``_moves`` has the motion inside.
         """
-        called = {function_of(call) for statement in self._program.statements for call in _calls(statement)}
+        called = {function_of(call) for _, call in self._calls}
         for function, parameters in self._program.parameters.items():
             if function in self._motions or function not in called or "" in parameters:
                 continue
-            inside = [one for one in self._program.statements if function in one.path]
+            inside = [(one, call) for one, call in self._calls if function in one.path]
+            words = [word.text for one in self._program.statements if function in one.path for word in one.tokens]
             for place, name in enumerate(parameters):
                 moves = [
                     self._moves.get(function_of(call), one)
-                    for one in inside
-                    for call in _calls(one)
+                    for one, call in inside
                     for argument in self._arguments(call)
                     if isinstance(argument, ast.Name) and argument.id == name and function_of(call) != "movec"
                 ]
-                if moves and len(moves) == sum(word.text == name for one in inside for word in one.tokens):
+                if moves and len(moves) == words.count(name):
                     self._motions[function], self._moves[function] = ((place, name),), moves[0]
                     return True
         return False
@@ -304,13 +300,12 @@ class _TargetReader:
     def payload_kg(self) -> float | None:
         """Return the payload if all calls that set one agree; else None."""
         masses = set()
-        for statement in self._program.statements:
-            for call in _calls(statement):
-                if function_of(call) in ("set_payload", "set_target_payload") and (mass := argument_of(call, 0, "m")):
-                    try:
-                        masses.add(self._constants.value(mass, statement.path).numbers)
-                    except Unresolved:
-                        return None
+        for statement, call in self._calls:
+            if function_of(call) in ("set_payload", "set_target_payload") and (mass := argument_of(call, 0, "m")):
+                try:
+                    masses.add(self._constants.value(mass, statement.path).numbers)
+                except Unresolved:
+                    return None
         return masses.pop()[0] if len(masses) == 1 else None
 
     def with_shared(self, targets: list[ProgramTarget]) -> list[ProgramTarget]:
