@@ -402,8 +402,8 @@ def read_urp(data: bytes, where: str, table: Array, published: Array) -> ReadPro
             place = _attribute(xml, starts[holder], _HOLDERS[holder.tag])
             targets.append(ProgramTarget(line, command, "joints", numbers, None, None, "", place))
         elif element.tag in ("cachedContents", "script") and (found := _MOVES.search("".join(element.itertext()))):
-            reason = "script text within the .urp is not read; correct the .script file"
-            left.append(UnchangedMotion(line, found.group().rstrip("( \t\n"), reason))
+            text = "script text within the .urp is not read; correct the .script file"
+            left.append(UnchangedMotion(line, found.group().rstrip("( \t\n"), text))
     return ReadProgram(
         text=xml.decode("latin-1"),  # one character per byte: places count bytes
         targets=tuple(targets),

@@ -265,7 +265,7 @@ def _box_cover(core: Array, rounding: float) -> Cover:
     first, second = (axis for axis in range(3) if axis != along)
 
     def excess(rows: int, columns: int) -> float:
-        p, q = core[first] / rows, core[second] / columns
+        p, q = float(core[first]) / rows, float(core[second]) / columns
         return math.hypot(p, q, min(p, q)) - min(p, q)
 
     counts = range(1, _MOST_CAPSULES + 1)

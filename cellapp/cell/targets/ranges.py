@@ -443,40 +443,6 @@ class OneUnknown:
         return replace(self, largest_m=self.largest_m[rows], covariance=self.covariance[rows])
 
 
-@dataclass(frozen=True, eq=False)
-class Sides:
-    """Effect of the joints' sides of approach at n commands that do not state them.
-
-    Attributes
-    ----------
-    effects : tuple of str
-        Slugs of the effects that depend on the sides.
-    vectors : array, shape (n, N, 3)
-        Displacement of the SMR by each joint's positive side from the middle of both sides [m].
-    """
-
-    effects: tuple[str, ...]
-    vectors: Array
-
-    @property
-    def matter(self) -> NDArray[np.bool_]:
-        """Mask (n, N) of joints whose side matters."""
-        return np.asarray(np.linalg.norm(self.vectors, axis=2) >= _MATTERS_M)
-
-    def other_sides(self, signs: Array) -> OneUnknown:
-        """Return the effect of other sides than ``signs`` (n, N), for which the commands were computed.
-
-        This is no uncertainty, because a command states its sides. A command without sides is computed for the middle;
-        then either side is equally likely.
-        """
-        sided = np.any(signs != 0.0, axis=1)
-        taken = 2.0 * signs[:, :, None] * self.vectors  # from the chosen side of a joint to the other one
-        away = np.einsum("sj,njc->nsc", np.array(list(product((0.0, 1.0), repeat=taken.shape[1]))), taken)
-        largest = np.linalg.norm(away, axis=2).max(axis=1)
-        covariance = np.where(sided[:, None, None], 0.0, _second_moment(self.vectors))
-        return OneUnknown("approach", self.effects, np.where(sided, largest, _largest_sum(self.vectors)), covariance)
-
-
 def unknown_conditions(
     arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges: ConditionRanges
 ) -> list[OneUnknown]:
@@ -485,20 +451,6 @@ def unknown_conditions(
     found = [_over_range(condition, arm, q, conditions, spans) for condition, spans in _spans(arm, ranges).items()]
     found.append(_dwell(arm, q, conditions, ranges))
     return [one for one in found if one is not None and one.largest_m.max(initial=0.0) >= _MATTERS_M]
-
-
-def approach_sides(arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges: ConditionRanges) -> Sides | None:
-    """Return the effect of sides not stated by n commands ``q`` (n, N) [rad]; None if no effect depends on sides."""
-    terms = _dependent(arm, "approach")
-    if not terms:
-        return None
-    shift = _shift_by(arm, terms, q, conditions.R_M_S)
-    stated = np.zeros(q.shape) if conditions.approach is None else np.asarray(conditions.approach, dtype=np.float64)
-    vectors = []
-    for joint in range(q.shape[1]):
-        plus, minus = (shift(_driven(conditions, stated, joint, side, ranges)) for side in (1.0, -1.0))
-        vectors.append(np.where(stated[:, joint, None] == 0.0, 0.5 * (plus - minus), 0.0))
-    return Sides(_slugs(terms), np.stack(vectors, axis=1))
 
 
 def unknown_records(found: Sequence[OneUnknown], row: int) -> tuple[UnknownCondition, ...]:
@@ -643,32 +595,6 @@ def _second_moment(vectors: Array) -> Array:
 # command is written, so that an operator can drive accordingly.
 
 
-@dataclass(frozen=True, eq=False)
-class SidedCommands:
-    """Commands of n targets, each for a side of approach.
-
-    Attributes
-    ----------
-    found : Inverted
-    conditions : MeasurementConditions
-        Conditions that the commands are for: as stated by the targets, and the sides.
-    signs : array, shape (n, N), int
-        Sign of each joint's last motion, as stated or as on the way from home; 0 if it does not matter.
-    others : OneUnknown or None
-        Effect of other sides; None if no effect depends on them.
-    """
-
-    found: Inverted
-    conditions: MeasurementConditions
-    signs: Array
-    others: OneUnknown | None
-
-    def approach(self, row: int) -> tuple[int, ...] | None:
-        """Return the signs of one command; None if any side will do."""
-        signs = tuple(int(sign) for sign in self.signs[row])
-        return signs if any(signs) else None
-
-
 def sided_commands(
     arm: ArmModel,
     position_M: Array,
@@ -677,22 +603,32 @@ def sided_commands(
     conditions: MeasurementConditions,
     home: Array,
     ranges: ConditionRanges,
-) -> SidedCommands:
+) -> tuple[Inverted, MeasurementConditions, Array, OneUnknown | None]:
     """Invert the model again for the sides of arrival, starting from n commands ``found`` for the middle of both sides.
 
     ``position_M`` (n, 3) and ``rotation_M`` (n, 3, 3) are as in ``invert``; the way begins at ``home`` (N,) [rad].
+
+    Returns
+    -------
+    found : Inverted
+        Commands for the sides.
+    conditions : MeasurementConditions
+        Conditions that these are for: as stated by the targets, and the sides.
+    signs : array, shape (n, N)
+        Sign of each joint's last motion, as stated or as on the way from home; 0 if it does not matter.
+    others : OneUnknown or None
+        Effect of other sides; None if no effect depends on them.
     """
-    q = found.q
+    q, terms = found.q, _dependent(arm, "approach")
     stated = np.zeros(q.shape) if conditions.approach is None else np.asarray(conditions.approach, dtype=np.float64)
-    sides = approach_sides(arm, q, conditions, ranges) if len(q) else None
-    if sides is None:
-        return SidedCommands(found, conditions, stated, None)
-    step = q - home
-    offered = np.where(step < 0.0, -1.0, 1.0) * sides.matter
+    if not terms or not len(q):
+        return found, conditions, stated, None
+    vectors, step = _side_vectors(arm, terms, q, conditions, stated, ranges), q - home
+    offered = np.where(step < 0.0, -1.0, 1.0) * (np.linalg.norm(vectors, axis=2) >= _MATTERS_M)
     signs = np.where(stated != 0.0, stated, offered)
     rows = np.flatnonzero(offered.any(axis=1))
     if not len(rows):
-        return SidedCommands(found, conditions, signs, sides.other_sides(signs))
+        return found, conditions, signs, _other_sides(terms, vectors, signs)
     usual = np.full(q.shape[1], np.nan) if ranges.step is None else ranges.step
     sizes = np.where(stated != 0.0, usual, np.abs(step))
     made = replace(conditions, approach=signs, step=sizes * signs)
@@ -703,7 +639,41 @@ def sided_commands(
     signs[lost] = stated[lost]
     if len(lost):
         made = replace(made, approach=signs, step=np.where(signs == 0.0, np.nan, sizes * signs))
-    return SidedCommands(kept, made, signs, sides.other_sides(signs))
+    return kept, made, signs, _other_sides(terms, vectors, signs)
+
+
+def _side_vectors(
+    arm: ArmModel,
+    terms: tuple[EffectTerm, ...],
+    q: Array,
+    conditions: MeasurementConditions,
+    stated: Array,
+    ranges: ConditionRanges,
+) -> Array:
+    """Return the displacement (n, N, 3) [m] of the SMR by each joint's positive side from the middle of both sides.
+
+    It is zero for the sides ``stated`` (n, N).
+    """
+    shift = _shift_by(arm, terms, q, conditions.R_M_S)
+    vectors = []
+    for joint in range(q.shape[1]):
+        plus, minus = (shift(_driven(conditions, stated, joint, side, ranges)) for side in (1.0, -1.0))
+        vectors.append(np.where(stated[:, joint, None] == 0.0, 0.5 * (plus - minus), 0.0))
+    return np.stack(vectors, axis=1)
+
+
+def _other_sides(terms: Sequence[EffectTerm], vectors: Array, signs: Array) -> OneUnknown:
+    """Return the effect of other sides than ``signs`` (n, N), for which the commands were computed.
+
+    ``vectors`` are ``_side_vectors``. This is no uncertainty, because a command states its sides. A command without
+    sides is computed for the middle; then either side is equally likely.
+    """
+    sided = np.any(signs != 0.0, axis=1)
+    taken = 2.0 * signs[:, :, None] * vectors  # from the chosen side of a joint to the other one
+    away = np.einsum("sj,njc->nsc", np.array(list(product((0.0, 1.0), repeat=taken.shape[1]))), taken)
+    largest = np.linalg.norm(away, axis=2).max(axis=1)
+    covariance = np.where(sided[:, None, None], 0.0, _second_moment(vectors))
+    return OneUnknown("approach", _slugs(terms), np.where(sided, largest, _largest_sum(vectors)), covariance)
 
 
 def signs_words(signs: Sequence[int]) -> str:
