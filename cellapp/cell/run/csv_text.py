@@ -292,20 +292,10 @@ class CsvFile:
     thousands: str = ""
     """Sign between the thousands of its numbers."""
 
-    @property
-    def plain(self) -> bool:
-        """Whether it is plain CSV from its first line on."""
-        form = (self.separator, self.head, self.trailing, self.encoding, self.decimal_comma, self.thousands)
-        return form == (",", 1, 0, "utf-8-sig", False, "")
-
     def rows(self) -> Iterator[tuple[int, list[str]]]:
         """Yield line and cells of each row below the header, which may be repeated. Raises as ``csv_rows``."""
-        if self.plain:
-            below = itertools.islice(csv_rows(self.path, self.what, ROW), 1, None)
-            rows = ((line, row) for line, row in below if not row[0].lstrip().startswith(COMMENTS))
-        else:
-            rows = ((line, split_row(text, self.separator)) for line, text in self._numbered())
-        for line, cells in rows:
+        for line, text in self._numbered():
+            cells = split_row(text, self.separator)
             if cells[0].strip() == self.names[0] and tuple(map(str.strip, cells)) == self.names:
                 continue
             if len(cells) < len(self.names) or any(cells[len(self.names) :]):
