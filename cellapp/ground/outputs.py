@@ -30,12 +30,15 @@ _HEAD = 256 * 1024
 _DATABASE = b"SQLite format 3\0"
 _COMPANION = re.compile(r"(.+)-(?:wal|shm|journal)")
 """Names of the files beside a database that hold what is not in it yet."""
-_PROFILE = re.compile(rb'^\s?"?schema"?\s*:\s*["\']?cellapp-profile\b|^extends\s*:', re.MULTILINE)
-_SECTIONS = (re.compile(rb"^arms\s*:", re.MULTILINE), re.compile(rb"^tracker\s*:", re.MULTILINE))
-"""Sections that every profile has at its top level, one without the line ``schema`` too."""
-_ARM_TYPE = (re.compile(rb"^model\s*:", re.MULTILINE), re.compile(rb"^joints\s*:", re.MULTILINE))
-_PRIVATE_KEY = re.compile(rb"^-----BEGIN [A-Z ]*KEY-----", re.MULTILINE)
-_MINISIGN = b"untrusted comment:"
+_PROTECTED: Sequence[tuple[str, Sequence[bytes]]] = (
+    ("is the file of a run, or a store of results", [rb"\A" + _DATABASE]),
+    ("is a profile", [rb'^\s?"?schema"?\s*:\s*["\']?cellapp-profile\b|^extends\s*:']),
+    ("is a profile", [rb"^arms\s*:", rb"^tracker\s*:"]),
+    ("is an arm type, which profiles read", [rb"^model\s*:", rb"^joints\s*:"]),
+    ("is a key", [rb"^-----BEGIN [A-Z ]*KEY-----"]),
+    ("is a key or a signature", [rb"\Auntrusted comment:"]),
+)
+"""What an existing file is that is never replaced, and patterns that its beginning has then."""
 _SIGNATURE_SUFFIXES = (".minisig", ".asc", ".sig")
 _STREAMS = {"/dev/stdin": 0, "/dev/stdout": 1, "/dev/stderr": 2}
 _OPEN_FILE = re.compile(r"/(?:dev|proc/self)/fd/([0-9]{1,6})")
@@ -327,18 +330,11 @@ def _kind(place: Path) -> str:
     if not os.access(place, os.R_OK):
         return "cannot be read, so that nobody knows what it is"
     head = _head(place)
-    if head.startswith(_DATABASE):
-        return "is the file of a run, or a store of results"
+    for what, patterns in _PROTECTED:
+        if all(re.search(pattern, head, re.MULTILINE) for pattern in patterns):
+            return what
     if _beside_database(place):
         return "belongs to the database beside it"
-    if _PROFILE.search(head) or all(section.search(head) for section in _SECTIONS):
-        return "is a profile"
-    if all(section.search(head) for section in _ARM_TYPE):
-        return "is an arm type, which profiles read"
-    if _PRIVATE_KEY.search(head):
-        return "is a key"
-    if head.startswith(_MINISIGN):
-        return "is a key or a signature"
     for suffix in _SIGNATURE_SUFFIXES:
         if os.path.lexists(place.with_name(place.name + suffix)):
             return f"is signed ({place.name}{suffix} stands beside it)"

@@ -19,9 +19,6 @@ COMMANDS: Mapping[str, str] = {
     "touch": "measure the arm with a tracker ('cellapp collect DIR'), or take readings of one with"
     " 'cellapp import PROFILE CSV --run NEW'",
     "replay": "'cellapp show DIR collection' lists the stops of a run and its faults, the page draws them",
-    "docs screens": "the source's 'python -m tests.handbook screens' draws the terminal application",
-    "docs fleet": "use 'cellapp runs FOLDER --history ARM'; 'cellapp docs check' has how an arm is calibrated again",
-    "docs sockets": "measure the arm with a tracker, or take readings ('cellapp docs readings')",
     "power": "use 'cellapp trials power DIR'",
     "demo": "use 'cellapp init --demo'",
     "schema": "use 'cellapp docs --schema'",
@@ -32,14 +29,6 @@ COMMANDS: Mapping[str, str] = {
     "pause": "use 'cellapp job pause DIR'",
     "resume": "use 'cellapp job resume DIR'",
     "abort": "use 'cellapp job abort DIR'",
-    **{
-        f"docs {old}": f"'cellapp docs {new}' has what it held"
-        for old, new in (
-            *(("figures", "validation"), ("messages", "faults"), ("certificate", "report"), ("untried", "limits")),
-            *(("paths", "targets"), ("programs", "targets"), ("house", "architecture")),
-            *(("peers", "validation"), ("signature", "check")),
-        )
-    },
     **{
         f"trials {name}": _EVIDENCE
         for name in (

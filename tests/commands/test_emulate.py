@@ -213,7 +213,7 @@ def planned(folder: Path) -> Path:
             if one.arm == ARM
         )
         assert len(sweeps) == 1
-        run.write_result(SWEEPS_RESULT, PlannedSweeps(sweeps=sweeps).model_dump_json())
+        run.write_document(SWEEPS_RESULT, PlannedSweeps(sweeps=sweeps).model_dump_json())
     return folder
 
 

@@ -411,7 +411,7 @@ def test_runs_that_cannot_be_compared_say_why(worn: Path, tmp_path: Path) -> Non
     assert remarks["m0"] == "first calibration"
     assert "'calibrate' is out of date (1 reading was added since)" in remarks["m1"]
     assert remarks["plan"] == "not calibrated"
-    assert any("is cut off" in problem for problem in result.problems)
+    assert any("is damaged" in problem for problem in result.problems)
     assert "nothing is compared" in history_sentences(result)[-1]
 
 
@@ -469,7 +469,7 @@ def identities(folder: Path, profile: Profile, serials: dict[str, str]) -> dict[
     with planned_run(folder, profile=profile) as run:
         if serials:
             recorded = {name: ControllerIdentity("UR10", serial, "5.1", "") for name, serial in serials.items()}
-            run.write_result(CONTROLLERS_RESULT, json.dumps({name: vars(one) for name, one in recorded.items()}))
+            run.write_document(CONTROLLERS_RESULT, json.dumps({name: vars(one) for name, one in recorded.items()}))
         return dict(arm_identities(run))
 
 
@@ -494,7 +494,7 @@ def test_an_arm_is_known_by_its_controller_then_by_the_profile_then_by_names(tmp
 
 def test_a_damaged_record_of_controllers_leaves_the_names(tmp_path: Path) -> None:
     with planned_run(tmp_path / "run") as run:
-        run.write_result(CONTROLLERS_RESULT, "[]")
+        run.write_document(CONTROLLERS_RESULT, "[]")
         assert arm_identities(run)["left"].known_by == "names"
 
 
@@ -502,5 +502,5 @@ def test_simulated_arms_have_no_serial_number_of_their_own(tmp_path: Path) -> No
     profile = small_twin()
     with RunFile.create(tmp_path / "run", profile) as run:
         recorded = {name: vars(ControllerIdentity("simulated", f"SIM-{name}", "", "")) for name in profile.arms}
-        run.write_result(CONTROLLERS_RESULT, json.dumps(recorded))
+        run.write_document(CONTROLLERS_RESULT, json.dumps(recorded))
         assert {one.known_by for one in arm_identities(run).values()} == {"names"}

@@ -82,7 +82,7 @@ def stored(folder: Path) -> list[str]:
     texts = []
     for path in sorted(folder.glob("run-*")):
         with RunFile.open(path) as run:
-            texts.append(run.read_result(TRIAL_RESULT) or "")
+            texts.append(run.read_document(TRIAL_RESULT) or "")
     return texts
 
 

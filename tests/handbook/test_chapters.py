@@ -195,12 +195,6 @@ def test_wrong_use_is_said_in_a_sentence(tmp_path: Path) -> None:
         schemas_text("calibrate")
 
 
-@pytest.mark.parametrize("former", ["screens", "fleet", "peers", "signature", "sockets"])
-def test_a_former_topic_says_what_became_of_it(former: str) -> None:
-    with pytest.raises(InputError, match=f"'cellapp docs {former}' was removed in .*: ."):
-        topic_text(former)
-
-
 # -- The chapter on messages quotes what the program says: every quoted message stands in its source -------------------
 
 SPEAKING = ("drivers/arms", "drivers/trackers", "cellapp/cell/driving", "cellapp/cell/safety")

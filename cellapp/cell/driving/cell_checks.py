@@ -65,7 +65,7 @@ def check_controllers(run: RunFile, cell: Cell, *, insist: bool | None = None) -
         raise HardwareError(f"{'; '.join(changed)}; nothing was moved{way}")
     notes += changed
     if set(identities) - set(recorded):
-        run.write_result(
+        run.write_document(
             CONTROLLERS_RESULT, STORED_CONTROLLERS.dump_json(identities | recorded, exclude_none=True).decode("utf-8")
         )
     cell.logs.append(run.log)
@@ -301,7 +301,7 @@ def change_load(run: RunFile, load: int, stated: Mapping[str, float] | None, hun
         carried = ", ".join(f"{name} {arm.payload.mass:g} kg" for name, arm in due.arms.items())
         run.log("info", f"loads: {carried}")
     if load != hangs:
-        run.write_result(_HUNG, str(load))
+        run.write_document(_HUNG, str(load))
     return due
 
 

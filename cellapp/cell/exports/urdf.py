@@ -9,10 +9,6 @@ It has six links with ``x, y, z`` [m] and ``roll, pitch, yaw`` [rad], the origin
 of the D-H table. Frames: from the controller's base, which is ``base_link`` rotated by 180 degrees about z, to
 ``tool0`` (documentation of ``ur_description``, "Robot Frames"). The driver computes the hash from what the connected
 controller reports, and logs an error if they differ.
-
-Export all arms to one JSON file: URDF joint origins, and differences of the D-H rows with the error they leave.
-
-``formats`` has a format for each program, including exact UR deltas; this file is kept for programs that read it.
 """
 
 from __future__ import annotations

@@ -124,19 +124,15 @@ def _rows(stops: PlannedStops, joints: int, of_stops: int) -> Iterator[list[str]
 
 def _check_header(table: CsvTable, profile: Profile, problems: Problems) -> None:
     names = table.names
-    if len(names) == 1 and re.search(r"[;\t|]", names[0]):
-        raise InputError(f"{table.path}:1: the header is one column; separate columns by commas, write 0.5, not 0,5")
     required = [*_KEYS, *_joint_columns(max(len(arm.type.joints) for arm in profile.arms.values()))]
     known = [*required, *_OF_STOP]
-    for name in dict.fromkeys(name for name in names if names.count(name) > 1):
-        problems.add(1, name or "a column without a name", "the column is there twice; keep one")
     for name in required:
         if name not in names:
             problems.add(1, name, "the column is missing")
     for name in names:
         if name not in known:
             hint = did_you_mean(name, known, "is '{}' meant?", otherwise=f"columns are {', '.join(known)}")
-            problems.add(1, name or "a column without a name", f"the column is unknown; {hint}")
+            problems.add(1, name, f"the column is unknown; {hint}")
     problems.check()
 
 

@@ -253,7 +253,7 @@ def read_planned_stops(run: RunFile) -> PlannedStops:
             f"{run.path}: the document '{STOP_CONDITIONS_RESULT}' with approach and dwell of its stops is damaged"
             f" ({reason_of(error)}); restore the run from a copy, or plan a new one"
         ) from None
-    text = run.read_result(PLANNED_STOPS_RESULT)
+    text = run.read_document(PLANNED_STOPS_RESULT)
     if text is None:
         return stops
     try:
@@ -294,7 +294,7 @@ def write_planned_stops(run: RunFile, stops: PlannedStops, *, design: PlanDesign
 
 def read_plan_design(run: RunFile) -> PlanDesignResult | None:
     """Read the design of a run's plan; None if it was not designed. Raise ``InputError`` if it is damaged."""
-    text = run.read_result(PLAN_DESIGN_RESULT)
+    text = run.read_document(PLAN_DESIGN_RESULT)
     return None if text is None else PlanDesignResult.from_json(text, f"{run.path}: {PLAN_DESIGN_RESULT}")
 
 
@@ -314,7 +314,7 @@ def _conditions_of(stops: PlannedStops) -> dict[int, dict[str, _StoredConditions
 
 def _add_conditions(run: RunFile, stops: PlannedStops) -> None:
     """Enter stored approaches and dwells. Raise ``ValueError`` or ``KeyError`` if the document does not fit the run."""
-    for stop, arms in _DOCUMENT.validate_json(run.read_result(STOP_CONDITIONS_RESULT) or "{}").items():
+    for stop, arms in _DOCUMENT.validate_json(run.read_document(STOP_CONDITIONS_RESULT) or "{}").items():
         for arm, stored in arms.items():
             joints = len(run.profile.arms[arm].type.joints)
             if stored.via is not None and not (len(stored.via) == joints and all(map(math.isfinite, stored.via))):

@@ -44,24 +44,20 @@ _MOST_VALUES = 300_000
 to more."""
 _LARGEST_INT = 2**63
 """Limit of integers: larger ones fit neither numpy nor SQLite."""
-_SURROGATES = frozenset(map(chr, range(0xD800, 0xE000)))
-"""Surrogates, halves of characters: YAML's escapes can write them, UTF-8 cannot store them."""
 
 
 EXPONENT = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+$")
 """Numbers such as 1e-8 and 2.5e4, which YAML 1.1 reads as texts."""
 
 
-class _Loader(yaml.SafeLoader):
-    """YAML's safe loader that also reads numbers with an exponent."""
+class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
+    """YAML's safe loader that also reads numbers with an exponent.
+
+    On libyaml it is ten times as fast, which some installations of PyYAML lack.
+    """
 
 
-class _FastLoader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
-    """The same loader on libyaml, ten times as fast; some installations of PyYAML lack it."""
-
-
-for _loader in (_Loader, _FastLoader):
-    _loader.add_implicit_resolver("tag:yaml.org,2002:float", EXPONENT, list("-+.0123456789"))
+_Loader.add_implicit_resolver("tag:yaml.org,2002:float", EXPONENT, list("-+.0123456789"))
 
 
 def load_profile(path: Path) -> Profile:
@@ -409,19 +405,9 @@ def _first_file(folders: Sequence[Path], name: str) -> Path | None:
 # -- YAML with its lines ----------------------------------------------------------------------------------------------
 
 
-def _composed(text: str) -> tuple[yaml.Node | None, _Loader | _FastLoader]:
-    """Parse the document to nodes with their lines; return also the loader. Python's own loader reports errors."""
-    with contextlib.suppress(yaml.YAMLError):
-        _require_few_levels(text)
-        fast = _FastLoader(text)
-        return fast.get_single_node(), fast
-    loader = _Loader(text)
-    return loader.get_single_node(), loader
-
-
 def _require_few_levels(text: str) -> None:
     """Raise ``RecursionError`` for too deep nesting: libyaml recurses in C, which would end the process."""
-    loader, level = _FastLoader(text), 0
+    loader, level = _Loader(text), 0
     while loader.check_event():
         event = loader.get_event()
         level += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
@@ -431,7 +417,9 @@ def _require_few_levels(text: str) -> None:
 
 def _parse_yaml(text: str, path: Path) -> YamlDocument:
     try:
-        node, loader = _composed(text)
+        _require_few_levels(text)
+        loader = _Loader(text)
+        node = loader.get_single_node()
         if node is None:
             raise InputError(f"{path}: the file is empty; expected a mapping of keys to values")
         if not isinstance(node, yaml.MappingNode):
@@ -458,9 +446,7 @@ def _read_text(path: Path) -> str:
     return file_text(path, "give a profile such as profiles/twin.yaml")
 
 
-def _plain_data(
-    node: yaml.Node, at: KeyPath, place: Spot, places: dict[KeyPath, Spot], loader: _Loader | _FastLoader
-) -> Any:
+def _plain_data(node: yaml.Node, at: KeyPath, place: Spot, places: dict[KeyPath, Spot], loader: _Loader) -> Any:
     """Return a node as dict, list, text, number, bool or None; enter its place and those below it into ``places``."""
     if len(at) > _MOST_LEVELS:
         raise InputError(f"{place}: nested too deeply; a file has a handful of levels")
@@ -478,7 +464,7 @@ def _plain_data(
 
 
 def _mapping(
-    node: yaml.MappingNode, at: KeyPath, place: Spot, places: dict[KeyPath, Spot], loader: _Loader | _FastLoader
+    node: yaml.MappingNode, at: KeyPath, place: Spot, places: dict[KeyPath, Spot], loader: _Loader
 ) -> dict[str, Any]:
     result: dict[str, Any] = {}
     lines: dict[str, int] = {}
@@ -497,7 +483,7 @@ def _mapping(
     return result
 
 
-def _scalar(node: yaml.Node, place: Spot, loader: _Loader | _FastLoader) -> str | int | float | bool | None:
+def _scalar(node: yaml.Node, place: Spot, loader: _Loader) -> str | int | float | bool | None:
     kind = node.tag.removeprefix("tag:yaml.org,2002:")
     if kind == "timestamp":
         return str(node.value)
@@ -513,8 +499,6 @@ def _scalar(node: yaml.Node, place: Spot, loader: _Loader | _FastLoader) -> str 
     # an infinite stiffness in the plant's effects means a rigid joint
     if infinite and (value != math.inf or place.inside[:2] != ("plant", "effects")):
         raise InputError(f"{place}: expected a finite number, got {node.value}")
-    if isinstance(value, str) and not _SURROGATES.isdisjoint(value):
-        raise InputError(f"{place}: half a character (an escape such as \\ud800); write the whole character")
     if isinstance(value, int) and abs(value) > _LARGEST_INT:
         raise InputError(f"{place}: {str(node.value)[:20]}... is too large a number")
     return value

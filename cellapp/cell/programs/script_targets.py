@@ -18,10 +18,13 @@ import ast
 import gzip
 import re
 import zlib
+from bisect import bisect
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
-from typing import NoReturn
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
 from xml.parsers import expat
 
 import numpy as np
@@ -125,12 +128,8 @@ class _TargetReader:
     def __init__(self, program: ParsedProgram, where: str, tcp: Six | None) -> None:
         self._program, self._constants = program, Constants(program)
         self._goals: list[_Goal | None] = []
-        self._tcps = [
-            (statement, call)
-            for statement in program.statements
-            for call in _calls(statement)
-            if function_of(call) == "set_tcp"
-        ]
+        self._calls = [(statement, call) for statement in program.statements for call in _calls(statement)]
+        self._tcps = [(statement, call) for statement, call in self._calls if function_of(call) == "set_tcp"]
         self._given = tcp
         if tcp is not None and self._tcps:
             raise InputError(
@@ -149,20 +148,20 @@ class _TargetReader:
 
         A call of it is a motion to what it is given; ``_moves`` has the motion inside.
         """
-        called = {function_of(call) for statement in self._program.statements for call in _calls(statement)}
+        called = {function_of(call) for _, call in self._calls}
         for function, parameters in self._program.parameters.items():
             if function in self._motions or function not in called or "" in parameters:
                 continue
-            inside = [one for one in self._program.statements if function in one.path]
+            inside = [(one, call) for one, call in self._calls if function in one.path]
+            words = [word.text for one in self._program.statements if function in one.path for word in one.tokens]
             for place, name in enumerate(parameters):
                 moves = [
                     self._moves.get(function_of(call), one)
-                    for one in inside
-                    for call in _calls(one)
+                    for one, call in inside
                     for argument in self._arguments(call)
                     if isinstance(argument, ast.Name) and argument.id == name and function_of(call) != "movec"
                 ]
-                if moves and len(moves) == sum(word.text == name for one in inside for word in one.tokens):
+                if moves and len(moves) == words.count(name):
                     self._motions[function], self._moves[function] = ((place, name),), moves[0]
                     return True
         return False
@@ -301,13 +300,12 @@ class _TargetReader:
     def payload_kg(self) -> float | None:
         """Return the payload if all calls that set one agree; else None."""
         masses = set()
-        for statement in self._program.statements:
-            for call in _calls(statement):
-                if function_of(call) in ("set_payload", "set_target_payload") and (mass := argument_of(call, 0, "m")):
-                    try:
-                        masses.add(self._constants.value(mass, statement.path).numbers)
-                    except Unresolved:
-                        return None
+        for statement, call in self._calls:
+            if function_of(call) in ("set_payload", "set_target_payload") and (mass := argument_of(call, 0, "m")):
+                try:
+                    masses.add(self._constants.value(mass, statement.path).numbers)
+                except Unresolved:
+                    return None
         return masses.pop()[0] if len(masses) == 1 else None
 
     def with_shared(self, targets: list[ProgramTarget]) -> list[ProgramTarget]:
@@ -357,8 +355,15 @@ def _span(expression: ast.expr) -> tuple[int, int]:
 _LARGEST = 32 * 1024 * 1024
 """Maximum size of the unpacked XML [bytes]: a program of a thousand waypoints has about one MB."""
 _GZIP = 31
+_HIDDEN = re.compile(rb"<!--.*?(?:-->|\Z)|<!\[CDATA\[.*?(?:\]\]>|\Z)|<\?.*?(?:\?>|\Z)", re.DOTALL)
+"""Parts of XML in which a tag is none; one that does not end is hidden to the end, where the parser refuses it."""
+_DECLARED = re.compile(rb"<!(?:DOCTYPE|ENTITY)")
+_TAG = re.compile(rb"<[^/!]")
 _MOVES = re.compile(r"\b(?:move[jlpc]|servo[jcl])\s*\(")
-_NUMBER = re.compile(r"[^,\s]+")
+_NUMBER = re.compile(rb"[^,\s]+")
+_HOLDERS = {"JointAngles": "angles", "position": "joints"}
+"""Elements of a waypoint that hold joint positions -> the attribute of these."""
+_CHAIN = ("deltaTheta", "d", "a", "alpha")
 
 
 def read_urp(data: bytes, where: str, table: Array, published: Array) -> ReadProgram:
@@ -380,30 +385,29 @@ def read_urp(data: bytes, where: str, table: Array, published: Array) -> ReadPro
         If it is not a ``.urp``, too large, or contains a document type or an entity.
     """
     xml = _unpacked(data, where)
-    reader = _XmlReader(xml, table, published)
-    parser = expat.ParserCreate("UTF-8")
-    parser.SetParamEntityParsing(expat.XML_PARAM_ENTITY_PARSING_NEVER)
-
-    def refuse(*_: object) -> NoReturn:
-        raise InputError(f"{where}:{parser.CurrentLineNumber}: a document type or entity; no program needs one")
-
-    parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = refuse
-    parser.ExternalEntityRefHandler = refuse
-    parser.StartElementHandler = lambda tag, values: reader.start(
-        tag, values, parser.CurrentByteIndex, parser.CurrentLineNumber
-    )
-    parser.EndElementHandler = reader.end
-    parser.CharacterDataHandler = reader.characters
-    try:
-        parser.Parse(xml, True)
-    except expat.ExpatError as error:
-        raise InputError(f"{where}:{error.lineno}: not XML ({expat.ErrorString(error.code)})") from None
-    if reader.root != "URProgram":
-        raise InputError(f"{where}: no PolyScope program: its XML is '{reader.root}' instead of 'URProgram'")
+    ends, starts = [found.start() for found in re.finditer(rb"\n", xml)], _elements(xml, where)
+    root = next(iter(starts))
+    moves = {one: move.get("motionType", "Move") for move in root.iter("Move") for one in move.iter("Waypoint")}
+    of_program = {one.tag: one.get("value", "") for one in root.iterfind(".//kinematics/*")}
+    targets, left = list[ProgramTarget](), list[UnchangedMotion]()
+    for element, start in starts.items():
+        line = bisect(ends, start) + 1
+        if element.tag == "Waypoint":
+            command = f"{moves.get(element, 'Move')} {element.get('name', '?')}"
+            try:
+                numbers, holder = _taught(element, of_program, table, published)
+            except Unresolved as reason:
+                left.append(UnchangedMotion(line, command, str(reason)))
+                continue
+            place = _attribute(xml, starts[holder], _HOLDERS[holder.tag])
+            targets.append(ProgramTarget(line, command, "joints", numbers, None, None, "", place))
+        elif element.tag in ("cachedContents", "script") and (found := _MOVES.search("".join(element.itertext()))):
+            text = "script text within the .urp is not read; correct the .script file"
+            left.append(UnchangedMotion(line, found.group().rstrip("( \t\n"), text))
     return ReadProgram(
         text=xml.decode("latin-1"),  # one character per byte: places count bytes
-        targets=tuple(reader.targets),
-        left=tuple(reader.left),
+        targets=tuple(targets),
+        left=tuple(left),
         payload_kg=None,
         encode=lambda changed: gzip.compress(changed.encode("latin-1"), mtime=0),
         notes=("PolyScope compares a checksum (crcValue) when it loads the copy; save it there once",),
@@ -423,147 +427,72 @@ def _unpacked(data: bytes, where: str) -> bytes:
     return xml
 
 
-@dataclass
-class _Waypoint:
-    """Waypoint while it is being read."""
+def _elements(xml: bytes, where: str) -> dict[Element, int]:
+    """Return the elements of a program in the order of the text, each with the byte at which it begins."""
+    tags = _HIDDEN.sub(lambda found: b" " * len(found[0]), xml)
+    if declared := _DECLARED.search(tags):
+        line = xml.count(b"\n", 0, declared.start()) + 1
+        raise InputError(f"{where}:{line}: a document type or an entity; no program needs one")
+    try:
+        root = ElementTree.fromstring(xml, ElementTree.XMLParser(encoding="UTF-8"))
+    except ElementTree.ParseError as error:
+        raise InputError(f"{where}:{error.position[0]}: not XML ({expat.ErrorString(error.code)})") from None
+    if root.tag != "URProgram":
+        raise InputError(f"{where}: no PolyScope program: its XML is '{root.tag}' instead of 'URProgram'")
+    return dict(zip(root.iter(), (found.start() for found in _TAG.finditer(tags)), strict=True))
 
-    name: str
-    kind: str
-    line: int
-    angles: str = ""
-    span: tuple[int, int] = (0, 0)
-    own_pose: bool = False
-    chain: dict[str, str] = field(default_factory=dict)
-    status: str = ""
+
+def _attribute(xml: bytes, start: int, name: str) -> ArmPlace:
+    """Return the place of the numbers in an attribute of the element that begins at ``start``."""
+    found = re.compile(rb"\b" + name.encode() + rb"\s*=\s*(?:\"([^\"]*)\"|'([^']*)')").search(xml, start)
+    assert found is not None  # the parser saw it there
+    first, last = found.span(found.lastindex or 0)
+    return ArmPlace(first, last, tuple(one.span() for one in _NUMBER.finditer(xml, first, last)))
 
 
-class _XmlReader:
-    """Collects waypoints and scripts during XML parsing."""
+def _taught(waypoint: Element, of_program: Mapping[str, str], table: Array, published: Array) -> tuple[Six, Element]:
+    """Return the joint positions of a waypoint and the element that holds them.
 
-    def __init__(self, xml: bytes, table: Array, published: Array) -> None:
-        self._xml, self._table, self._published = xml, table, published
-        self.root, self.targets, self.left = "", list[ProgramTarget](), list[UnchangedMotion]()
-        self._waypoint: _Waypoint | None = None
-        self._move: list[str] = []
-        self._script: list[str] | None = None
-        self._script_line = 0
-        self._types: dict[bytes, str] = {}
-        self._of_program: dict[str, str] = {}
-
-    def start(self, tag: str, values: Mapping[str, str], index: int, line: int) -> None:
-        """Handle the start of an element at byte ``index``."""
-        self.root = self.root or tag
-        waypoint = self._waypoint
-        if tag == "Move":
-            self._move.append(values.get("motionType", "Move"))
-        elif tag == "Waypoint":
-            self._waypoint = _Waypoint(values.get("name", "?"), values.get("type", ""), line)
-        elif tag in ("cachedContents", "script"):
-            self._script, self._script_line = [], line
-        elif tag == "kinematics":
-            self._of_program = {}
-        elif waypoint is None:
-            if tag in ("deltaTheta", "a", "d", "alpha"):
-                self._of_program.setdefault(tag, values.get("value", ""))
-        elif tag == "JointAngles" and "angles" in values:
-            waypoint.angles, waypoint.span = values["angles"], self._attribute(index, "angles")
-        elif tag == "position" and "joints" in values:
-            waypoint.angles, waypoint.span = values["joints"], self._attribute(index, "joints")
-            waypoint.own_pose = "pose" in values
-        elif tag == "Kinematics":
-            waypoint.status = values.get("status", "")
-        elif tag in ("deltaTheta", "a", "d", "alpha"):
-            waypoint.chain[tag] = values.get("value", "")
-
-    def end(self, tag: str) -> None:
-        """Handle the end of an element."""
-        if tag == "Move" and self._move:
-            self._move.pop()
-        elif tag == "Waypoint" and self._waypoint is not None:
-            self._add(self._waypoint)
-            self._waypoint = None
-        elif tag in ("cachedContents", "script") and self._script is not None:
-            if found := _MOVES.search("".join(self._script)):
-                what = found.group().rstrip("( \t\n")
-                reason = "script text within the .urp is not read; correct the .script file"
-                self.left.append(UnchangedMotion(self._script_line, what, reason))
-            self._script = None
-
-    def characters(self, text: str) -> None:
-        """Handle text, which matters in scripts only."""
-        if self._script is not None:
-            self._script.append(text)
-
-    def _attribute(self, index: int, name: str) -> tuple[int, int]:
-        """Return the place of an attribute's value in the XML."""
-        found = re.compile(rb"\b" + name.encode() + rb"\s*=\s*(\"([^\"]*)\"|'([^']*)')").search(self._xml, index)
-        assert found is not None  # the parser saw it there
-        return found.start(1) + 1, found.end(1) - 1
-
-    def _add(self, waypoint: _Waypoint) -> None:
-        command = f"{self._move[-1] if self._move else 'Move'} {waypoint.name}"
-        numbers = _numbers(waypoint.angles)
-        reason = ""
-        if waypoint.kind not in ("", "Fixed"):
-            reason = f"a waypoint of type {waypoint.kind}: its target is known only while the program runs"
-        elif len(numbers) != 6 or not np.isfinite(numbers).all():
-            reason = "the waypoint has no six joint positions"
-        elif waypoint.own_pose:
-            reason = "an older form of file, with a pose of its own; save it by PolyScope 5"
-        elif other := self._other_type(waypoint):
-            reason = f"it was taught on an arm of another type: its rows are those of {other}"
-        elif not self._is_the_controllers(waypoint):
-            expected = "another one than that in arms.*.factory of the profile,"
-            if np.array_equal(self._table, self._published):
-                expected = "not on the published table"
-            reason = (
-                f"it was taught on a controller with a calibration of its own, {expected} that this correction is for;"
-                " 'cellapp doctor PROFILE --controllers FOLDER' writes that of the controller"
-            )
-        if reason:
-            self.left.append(UnchangedMotion(waypoint.line, command, reason))
-            return
-        first, last = waypoint.span
-        spans = tuple(
-            (first + found.start(), first + found.end())
-            for found in _NUMBER.finditer(self._xml[first:last].decode("latin-1"))
+    ``of_program`` is the chain of a waypoint that states none. Raise ``Unresolved`` if they cannot be corrected.
+    """
+    if (kind := waypoint.get("type", "")) not in ("", "Fixed"):
+        raise Unresolved(f"a waypoint of type {kind}: its target is known only while the program runs")
+    holder = next((one for one in waypoint.iter() if _HOLDERS.get(one.tag) in one.attrib), waypoint)
+    numbers = _numbers(holder.get(_HOLDERS.get(holder.tag, ""), ""))
+    if len(numbers) != SIX or not np.isfinite(numbers).all():
+        raise Unresolved("the waypoint has no six joint positions")
+    if holder.tag == "position" and "pose" in holder.attrib:
+        raise Unresolved("an older form of file, with a pose of its own; save it by PolyScope 5")
+    own = {one.tag: one.get("value", "") for one in waypoint.iter() if one.tag in _CHAIN}
+    rows = _rows(own or of_program, len(table))
+    if rows is not None and not of_one_type(rows, published):
+        types = _fitting(tuple(map(tuple, rows.tolist())))
+        raise Unresolved(f"it was taught on an arm of another type: its rows are those of {types}")
+    status = next((one.get("status", "") for one in waypoint.iter("Kinematics")), "")
+    stated = own and status not in ("NOT_INITIALIZED", "NOT_LINEARIZED")
+    if stated and (rows is None or not same_chain(rows, table, published)):
+        expected = "another one than that in arms.*.factory of the profile,"
+        if np.array_equal(table, published):
+            expected = "not on the published table"
+        raise Unresolved(
+            f"it was taught on a controller with a calibration of its own, {expected} that this correction is for;"
+            " 'cellapp doctor PROFILE --controllers FOLDER' writes that of the controller"
         )
-        self.targets.append(
-            ProgramTarget(
-                line=waypoint.line,
-                command=command,
-                kind="joints",
-                numbers=six(numbers),
-                tcp=None,
-                near=None,
-                function="",
-                place=ArmPlace(first, last, spans),
-            )
-        )
+    return six(numbers), holder
 
-    def _is_the_controllers(self, waypoint: _Waypoint) -> bool:
-        """Return whether a waypoint's chain, if stated, is that of the controller."""
-        if not waypoint.chain or waypoint.status in ("NOT_INITIALIZED", "NOT_LINEARIZED"):
-            return True
-        rows = self._rows(waypoint)
-        return rows is not None and same_chain(rows, self._table, self._published)
 
-    def _rows(self, waypoint: _Waypoint) -> Array | None:
-        """Return the rows (6, 4) of a waypoint's chain, else of the program's; None if one is not stated."""
-        chain = waypoint.chain or self._of_program
-        columns = [_numbers(chain.get(name, "")) for name in ("deltaTheta", "d", "a", "alpha")]
-        if any(len(column) != len(self._table) for column in columns) or not np.isfinite(columns).all():
-            return None
-        return np.array(columns).T
+def _rows(chain: Mapping[str, str], joints: int) -> Array | None:
+    """Return the rows (N, 4) of a chain; None if it does not state them all."""
+    columns = [_numbers(chain.get(name, "")) for name in _CHAIN]
+    if any(len(column) != joints for column in columns) or not np.isfinite(columns).all():
+        return None
+    return np.array(columns).T
 
-    def _other_type(self, waypoint: _Waypoint) -> str:
-        """Return the types of arms that a waypoint was taught on if they are others than this one; else empty."""
-        rows = self._rows(waypoint)
-        if rows is None or of_one_type(rows, self._published):
-            return ""
-        if rows.tobytes() not in self._types:  # a program has the same rows at each waypoint
-            self._types[rows.tobytes()] = fitting_types(rows, 0.0, own_arm_types())
-        return self._types[rows.tobytes()]
+
+@lru_cache
+def _fitting(rows: tuple[tuple[float, ...], ...]) -> str:
+    """Name the types of arms that rows belong to; a program has the same ones at each waypoint."""
+    return fitting_types(np.array(rows), 0.0, own_arm_types())
 
 
 def _numbers(text: str) -> list[float]:

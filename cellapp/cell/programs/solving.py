@@ -79,17 +79,16 @@ def solve_targets(place: Workplace, targets: Sequence[ProgramTarget]) -> list[Co
         return []
     chain = controller_chain(place.arm)
     meant, chosen = _meant(place, chain, targets)
+    results = [_refused(target, why) for target, (_, why) in zip(targets, chosen, strict=True)]
     found = [k for k, (q, _) in enumerate(chosen) if q is not None]
-    refused = [_refused(target, chosen[k][1]) for k, target in enumerate(targets)]
     if not found:
-        return refused
+        return results
     q_old = np.array([chosen[k][0] for k in found])
     conditions = place.conditions(len(found))
     arm = moved_by(place.arm)
     solved = aim(arm, arm.nominal.T_M_B() @ meant[found], q_old, conditions)
     told = flange_of(chain, solved.q)
     tcps = [np.eye(4) if (tcp := targets[k].tcp) is None else pose_matrix(tcp) for k in found]
-    results = list(refused)
     for row, k in enumerate(found):
         residual = max(solved.residual_m[row], solved.residual_rad[row])
         if reason := _why_not(place, q_old[row], solved.q[row], residual):
@@ -244,9 +243,7 @@ def _why_not(place: Workplace, q_old: Array, q_new: Array, residual: float) -> s
 
 
 def _refused(target: ProgramTarget, reason: str) -> CorrectedTarget:
-    return CorrectedTarget(
-        line=target.line, command=target.command, kind=target.kind, old=target.numbers, reason=reason
-    )
+    return CorrectedTarget.like(target, old=target.numbers, reason=reason)
 
 
 def _corrected(target: ProgramTarget, *, q_new: Array, meant: Array, told: Array, nearest_to: str) -> CorrectedTarget:
@@ -259,10 +256,8 @@ def _corrected(target: ProgramTarget, *, q_new: Array, meant: Array, told: Array
         new = six([*pose[:3], *rotation])
     if shift < _SAME and angle < _SAME:
         new = target.numbers
-    return CorrectedTarget(
-        line=target.line,
-        command=target.command,
-        kind=target.kind,
+    return CorrectedTarget.like(
+        target,
         old=target.numbers,
         new=new,
         correction_mm=shift * 1e3,
@@ -477,13 +472,12 @@ def gate_findings(profile: Profile, model: CellModel, name: str, targets: Sequen
         cell = cell_bodies(profile, model)
     except InputError as error:
         return [f"postures were not checked against the cell: {error}"]
-    found = []
-    for target in targets:
-        if target.q_new is None:
-            continue
-        if refusal := refuse_stop(cell, {**homes, name: np.array(target.q_new)}):
-            found.append(f"line {target.line}: {target.command}: with the other arms at home, {refusal}")
-    return found
+    postures = [(one, {**homes, name: np.array(one.q_new)}) for one in targets if one.q_new is not None]
+    return [
+        f"line {one.line}: {one.command}: with the other arms at home, {refusal}"
+        for one, q in postures
+        if (refusal := refuse_stop(cell, q))
+    ]
 
 
 _UNKNOWN = {

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import ast
 import math
+import operator
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Literal
@@ -439,39 +440,36 @@ def _operation(sign: str, values: Sequence[Value]) -> Value:
     if any(len(value.numbers) != 1 for value in values):
         raise Unresolved(f"'{sign}' of lists or poses {_RUNNING}")
     numbers = [value.numbers[0] for value in values]
-    match sign, numbers:
-        case "-", [one]:
-            return Value((-one,))
-        case "+", [one]:
-            return Value((one,))
-        case "+", [one, other]:
-            return Value((one + other,))
-        case "-", [one, other]:
-            return Value((one - other,))
-        case "*", [one, other]:
-            return Value((one * other,))
-        case "/", [one, other] if other != 0.0:
-            return Value((one / other,))
-    raise Unresolved(f"'{sign}' is not evaluated")
+    if (evaluated := _OF_SIGN.get((sign, len(numbers)))) is None or (sign == "/" and numbers[1] == 0.0):
+        raise Unresolved(f"'{sign}' is not evaluated")
+    return Value((evaluated(*numbers),))
 
 
 def _call(function: str, values: Sequence[Value]) -> Value:
     if function in _OF_NUMBER and len(values) == 1 and len(values[0].numbers) == 1:
         return Value((_OF_NUMBER[function](values[0].numbers[0]),))
-    poses = [value for value in values if value.pose and len(value.numbers) == SIX]
-    if function in _OF_POSES and len(values) == len(poses) == _OF_POSES[function]:
-        return Value(pose_numbers(_of_poses(function, [pose.T() for pose in poses])), pose=True)
-    raise Unresolved(f"{function}(...) {_RUNNING}")
+    poses = [value.T() for value in values if value.pose and len(value.numbers) == SIX]
+    if (evaluated := _OF_POSES.get((function, len(values)))) is None or len(poses) < len(values):
+        raise Unresolved(f"{function}(...) {_RUNNING}")
+    return Value(pose_numbers(evaluated(*poses)), pose=True)
 
 
+def _pose_add(first: Array, second: Array) -> Array:
+    return transform(first[:3, :3] @ second[:3, :3], first[:3, 3] + second[:3, 3])
+
+
+_OF_SIGN: Mapping[tuple[str, int], Callable[..., float]] = {
+    ("+", 1): operator.pos,
+    ("-", 1): operator.neg,
+    ("+", 2): operator.add,
+    ("-", 2): operator.sub,
+    ("*", 2): operator.mul,
+    ("/", 2): operator.truediv,
+}
+"""Sign and number of its operands -> what it does; of functions of poses, too."""
 _OF_NUMBER = {"d2r": math.radians, "r2d": math.degrees}
-_OF_POSES: Mapping[str, int] = {"pose_trans": 2, "pose_add": 2, "pose_inv": 1}
-
-
-def _of_poses(function: str, poses: Sequence[Array]) -> Array:
-    if function == "pose_inv":
-        return invert(poses[0])
-    first, second = poses
-    if function == "pose_trans":
-        return np.asarray(first @ second)
-    return transform(first[:3, :3] @ second[:3, :3], first[:3, 3] + second[:3, 3])  # pose_add
+_OF_POSES: Mapping[tuple[str, int], Callable[..., Array]] = {
+    ("pose_inv", 1): invert,
+    ("pose_trans", 2): np.matmul,
+    ("pose_add", 2): _pose_add,
+}

@@ -15,9 +15,6 @@ from cellapp.cell.run.csv_text import NUMBER, WHOLE, CsvTable, Problems, short, 
 from cellapp.estimation.readings.columns import COLUMNS, CONFIGURATION, Column, beyond_limits
 from cellapp.estimation.readings.readings import Readings
 
-_NOT_NUMBERS = re.compile(r"[^0-9.eE+\- ]")
-"""Characters that no number has: one search over all cells of a column is much faster than one per cell."""
-
 
 def is_known(name: str) -> bool:
     """Return whether a CSV column is one of ``COLUMNS`` or the arm."""
@@ -56,31 +53,17 @@ class ArmCells:
         self.problems.add(self.line(index), name, text)
 
     def numbers(self, name: str, *, required: bool) -> NDArray[np.float64]:
-        """Parse a column to (n,), NaN for an empty cell that is not required; note its first wrong cell."""
+        """Parse a column to (n,), NaN for an empty cell that is not required; note its first wrong cell.
+
+        ``float`` alone accepts more than decimal numbers: nan, 1_000, digits of other scripts.
+        """
         texts = [text.strip() for text in self.texts(name)]
-        # float() accepts more than decimal numbers (nan, 1_000, digits of other scripts); one search over the whole
-        # column is much faster than one over each cell.
-        if all(texts) and not _NOT_NUMBERS.search(" ".join(texts)):
-            try:
-                values = np.array([float(text) for text in texts])
-            except ValueError:
-                pass
-            else:
-                if np.all(np.isfinite(values)):
-                    return values
-        result = np.full(len(texts), np.nan)
-        for index, text in enumerate(texts):
-            if not text:
-                if not required:
-                    continue
-                self.refuse(index, name, "the value is missing")
-                break
-            value = float(text) if NUMBER.fullmatch(text) else math.nan
-            if not math.isfinite(value):
-                self.refuse(index, name, f"expected a finite number such as 0.25, got '{short(text)}'")
-                break
-            result[index] = value
-        return result
+        values = np.array([float(text) if NUMBER.fullmatch(text) else math.nan for text in texts])
+        wrong = (index for index in np.flatnonzero(~np.isfinite(values)).tolist() if texts[index] or required)
+        if (index := next(wrong, None)) is not None:
+            text = f"expected a finite number such as 0.25, got '{short(texts[index])}'"
+            self.refuse(index, name, text if texts[index] else "the value is missing")
+        return values
 
     def whole_numbers(self, name: str) -> NDArray[np.int64]:
         """Parse a column of integers to (n,), not via floats, which would round large ones."""
@@ -97,7 +80,7 @@ class ArmCells:
         (name,) = column.csv
         if name not in self.table.cells:
             return None
-        words = [text.strip() for text in self.texts(name)]
+        words = [unquoted_text(text.strip()) for text in self.texts(name)]
         for index, word in enumerate(words):
             if word and column.allowed and word not in column.allowed:
                 self.refuse(index, name, f"expected {column.expected}, got '{short(word)}'")

@@ -26,6 +26,7 @@ from cellapp.cell.run.stream_csv import StreamTable
 from cellapp.estimation.motion.streams import JointStream, PointStream
 from cellapp.estimation.readings.columns import COLUMNS, beyond_limits
 from cellapp.ground.errors import InputError
+from cellapp.ground.grouping import grouped
 
 Kind = Literal["joints", "points"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
@@ -174,11 +175,7 @@ class _Read:
     factor: float | None = None
     rank: int = 1
     """Smaller ranks are preferred: cellapp's own, measured, unmarked, commanded or computed."""
-
-
-_NOTHING = _Read("")
-_Family = dict[int, list[int]]
-"""Number of a joint or axis -> places of its columns."""
+    column: str = ""
 
 
 def understood(
@@ -196,63 +193,62 @@ def understood(
     left out, unless a column of one of them is among ``taken``. ``row`` are the cells of the first row: messages of ROS
     name their joints there.
     """
-    again = [name[-4:] if re.search(r" \(\d\)$", name) and name[:-4] in names else "" for name in names]
-    plain = [name.removesuffix(number) for name, number in zip(names, again)]
-    if {*_MOTOMAN} <= {re.split(r"\W", name.lower())[0] for name in plain}:
-        plain = [re.sub(rf"^[{_MOTOMAN}]\b", _of_motoman, name.lower()) for name in plain]
-    if any(re.fullmatch(r"(?:q|qd)0", name.lower()) for name in names):
-        own = [name for name in own if name.rstrip("0123456789") == name]  # names of joints from 0 are not cellapp's
-    elsewhere, last = ((), ()) if written is None else (written.columns, written.position)
-    read = [
-        _NOTHING
-        if name in elsewhere
-        else _Read("p", last.index(name), "matrix")
-        if name in last
-        else _own(its)
-        if its in own
-        else _read(its, kind) or _NOTHING
-        for name, its in zip(names, plain)
-    ]
-    if kind != "points" and not any(one.quantity == "q" for one in read):
-        numbered = _family([name for name in names if name not in elsewhere])
-        read = [_read(numbered[n], kind) or _NOTHING if n in numbered else one for n, one in zip(names, read)]
-    families: dict[str, dict[tuple[int, str], _Family]] = {}
-    for place, one in enumerate(read):
-        if one is not _NOTHING:
-            its = families.setdefault(one.quantity, {}).setdefault((one.rank, one.family + again[place]), {})
-            its.setdefault(one.number, []).append(place)
-    order, called = _named_order(names, row), dict[int, str]()
+    read, order, called = _interpreted(names, kind, own, written), _named_order(names, row), dict[str, str]()
     doubled, commanded, smrs = dict[str, tuple[str, ...]](), list[str](), dict[str, tuple[str, ...]]()
-    for quantity, found in families.items():
-        rank, best = _best(quantity, found, {place for place, name in enumerate(names) if name in taken})
+    for quantity, columns in grouped((one.quantity, one) for one in read).items():
+        best = _best(quantity, columns, taken)
+        rank, families = min(one.rank for one in best), grouped((one.family, one) for one in best)
         commanded += [quantity] * (rank >= _COMMAND)
-        if quantity == "p" and len(best) > 1 and (several := _several_smrs(best)):
-            smrs = {smr: tuple(names[its[axis][0]] for axis in range(3)) for smr, its in several.items()}
-            best = dict([next(iter(best.items()))])
-        numbers = {number for its in best.values() for number in its}
-        base = min(numbers & {0, 1}, default=1)
-        for number in sorted(numbers):
-            places = [place for its in best.values() for place in its.get(number, ())]
-            units = [read[place].factor for place in places]
-            if quantity == "time_s" and (len(best), len(units), units.count(1.0), units.count(None)) == (1, 2, 1, 0):
-                whole, part = places if units[0] == 1.0 else places[::-1]
-                called |= {whole: "time_s", part: FRACTION}
-            elif (name := _called(quantity, number, base, order if rank >= 0 else {})) and len(places) == 1:
-                called[places[0]] = name
+        if quantity == "p" and len(families) > 1 and (several := _several_smrs(families)):
+            smrs = {
+                smr: tuple(next(one.column for one in its if one.number == axis) for axis in range(3))
+                for smr, its in several.items()
+            }
+            best = next(iter(families.values()))
+        base = min({one.number for one in best} & {0, 1}, default=1)
+        for number, its in sorted(grouped((one.number, one) for one in best).items()):
+            name = _called(quantity, number, base, order if rank >= 0 else {})
+            units = [one.factor for one in its]
+            if quantity == "time_s" and (len(families), len(its), units.count(1.0), units.count(None)) == (1, 2, 1, 0):
+                called |= {one.column: "time_s" if one.factor == 1.0 else FRACTION for one in its}
+            elif name and len(its) == 1:
+                called[its[0].column] = name
             elif name:
-                doubled[name] = tuple(names[place] for place in places)
-    foreign = {place: name for place, name in called.items() if read[place].rank >= 0}
-    others = {name: names[place] for place, name in foreign.items()}
-    free = (f"{name} (not used)" if name in others else name for name in names)  # q1 beside actual_q_0
+                doubled[name] = tuple(one.column for one in its)
+    foreign = {one.column: one for one in read if one.column in called and one.rank >= 0}
+    others = {called[column]: column for column in foreign}
+    free = {name: f"{name} (not used)" if name in others else name for name in names}  # q1 beside actual_q_0
     return Understood(
-        tuple(called.get(place, name) for place, name in enumerate(free)),
-        {name: unit for place, name in foreign.items() if (unit := read[place].factor) is not None},
+        tuple((free | called)[name] for name in names),
+        {called[column]: one.factor for column, one in foreign.items() if one.factor is not None},
         others,
         doubled,
         tuple(commanded),
         smrs,
         {column: name for _, column, name in sorted(order.values())} if "q1" in others else {},
     )
+
+
+def _interpreted(
+    names: Sequence[str], kind: Kind | Literal["readings"], own: Collection[str], written: Written | None
+) -> list[_Read]:
+    """Interpret each column by itself; those without a meaning are left out."""
+    again = {name: name[-4:] for name in names if re.search(r" \(\d\)$", name) and name[:-4] in names}
+    plain = {name: name.removesuffix(again.get(name, "")) for name in names}
+    if {*_MOTOMAN} <= {re.split(r"\W", its.lower())[0] for its in plain.values()}:
+        plain = {name: re.sub(rf"^[{_MOTOMAN}]\b", _of_motoman, its.lower()) for name, its in plain.items()}
+    if any(re.fullmatch(r"(?:q|qd)0", name.lower()) for name in names):
+        own = [name for name in own if name.rstrip("0123456789") == name]  # names of joints from 0 are not cellapp's
+    elsewhere, last = ((), ()) if written is None else (written.columns, written.position)
+    read = {name: _own(its) if its in own else _read(its, kind) for name, its in plain.items()}
+    read |= dict.fromkeys(elsewhere) | {name: _Read("p", axis, "matrix") for axis, name in enumerate(last)}
+    if kind != "points" and not any(one is not None and one.quantity == "q" for one in read.values()):
+        read |= {name: _read(its, kind) for name, its in _family([n for n in names if n not in elsewhere]).items()}
+    return [
+        replace(one, column=name, family=one.family + again.get(name, ""))
+        for name, one in read.items()
+        if one is not None
+    ]
 
 
 def _of_motoman(letter: re.Match[str]) -> str:
@@ -267,18 +263,15 @@ def _own(name: str) -> _Read:
     return _Read(name, rank=-1) if joint is None else _Read(joint[1], int(joint[2]), rank=-1)
 
 
-def _best(
-    quantity: str, families: Mapping[tuple[int, str], _Family], taken: Collection[int]
-) -> tuple[int, Mapping[tuple[int, str], _Family]]:
-    """Return the rank of the families that may be a quantity, and those; one of a ``taken`` place alone."""
-    for key, its in families.items():
-        if any(place in taken for places in its.values() for place in places):
-            return key[0], {key: {n: [p for p in places if p in taken] or places for n, places in its.items()}}
-    whole = {key: its for key, its in families.items() if quantity != "p" or len(its) == 3}
-    if not whole:
-        return 1, families
-    rank = min(rank for rank, _ in whole)
-    return rank, {key: its for key, its in whole.items() if key[0] == rank}
+def _best(quantity: str, columns: Sequence[_Read], taken: Collection[str]) -> list[_Read]:
+    """Return the columns of the families that may be a quantity; of the one alone that has a ``taken`` column."""
+    families = grouped(((one.rank, one.family), one) for one in columns).values()
+    for its in families:
+        if chosen := {one.number: one for one in its if one.column in taken}:
+            return [one for one in its if chosen.get(one.number, one) is one]
+    whole = [its for its in families if quantity != "p" or len({one.number for one in its}) == 3]
+    rank = min((its[0].rank for its in whole), default=None)
+    return [one for its in whole if its[0].rank == rank for one in its] or list(columns)
 
 
 def _called(quantity: str, number: int, base: int, order: Mapping[int, tuple[int, str, str]]) -> str:
@@ -294,10 +287,11 @@ def _called(quantity: str, number: int, base: int, order: Mapping[int, tuple[int
     return f"{quantity}{order[number][0] if order else number + 1 - base}"
 
 
-def _several_smrs(families: Mapping[tuple[int, str], _Family]) -> dict[str, _Family]:
+def _several_smrs(families: Mapping[str, Sequence[_Read]]) -> dict[str, Sequence[_Read]]:
     """Return the families of points by the number or letter that tells them apart; empty if something else does."""
-    found = {re.fullmatch(r"(.*?)(\d+|[a-h]|)", words): its for (_, words), its in families.items()}
-    if None in found or len({match[1] for match in found if match}) > 1 or any(len(its) < 3 for its in found.values()):
+    found = {re.fullmatch(r"(.*?)(\d+|[a-h]|)", words): its for words, its in families.items()}
+    whole = all(len({one.number for one in its}) == 3 for its in families.values())
+    if None in found or len({match[1] for match in found if match}) > 1 or not whole:
         return {}
     return {(match[2] or "1").upper(): its for match, its in found.items() if match}
 
@@ -447,6 +441,8 @@ _FASTEST_RAD_S = 12.0
 """Upper limit of joint speeds [rad/s]: no joint of an industrial arm is faster."""
 _REST_RAD, _REST_M = 1e-3, 2e-3
 """Ranges of joints and of the point within which an arm does not move."""
+_REST_RAD_S = 0.01
+"""Joint speeds [rad/s] up to which controllers report an arm at rest."""
 _GAP = 2.5
 """Multiple of the median step of the timestamps from which on a step is a gap."""
 
@@ -553,9 +549,13 @@ def joint_faults(columns: Columns, limits: NDArray[np.float64], *, dated: bool =
     if fast[joint] > _FASTEST_RAD_S:
         text = f"the joint rotates at {fast[joint]:.3g} rad/s; expected radians and seconds; {_DEGREES}"
         yield Implausible(None, f"q{joint + 1}", text)
+    fastest = float(np.abs(_matrix(columns, names["qd"])).max(initial=0.0))
     if float(np.ptp(q, axis=0).max()) < _REST_RAD:
-        yield Implausible(None, "q1..", f"no joint moves by {_REST_RAD:g} rad; expected a recording of a motion")
-    if names["qd"][0] in columns:
+        text = f"no joint moves by {_REST_RAD:g} rad; expected a recording of a motion"
+        if fastest > _REST_RAD_S:
+            text = f"{text}, as qd1.. reach {fastest:.3g} rad/s: give the joint positions of that motion"
+        yield Implausible(None, "q1..", text)
+    elif names["qd"][0] in columns:
         yield from _speed_unit(columns, names["qd"], q)
 
 
@@ -649,14 +649,15 @@ def _speed_unit(columns: Columns, names: tuple[str, ...], q: NDArray[np.float64]
 
 
 def _speed_ratio(time_s: NDArray[np.float64], q: NDArray[np.float64], qd: NDArray[np.float64]) -> float:
-    """Return the rms of stated speeds (n, N) over that of the motion of joint positions (n, N)."""
+    """Return the rms of stated speeds (n, N) over that of the motion of joint positions (n, N); NaN if these rest."""
     step = np.diff(time_s)
     usual = float(np.median(step[step > 0.0])) if (step > 0.0).any() else math.inf
     steady = (step > 0.5 * usual) & (step < _GAP * usual)
     moved = np.diff(q, axis=0)[steady]
     by_speed = 0.5 * (qd[1:] + qd[:-1])[steady] * step[steady, np.newaxis]
     known = np.isfinite(moved) & np.isfinite(by_speed)
-    return math.sqrt(float((by_speed[known] ** 2).sum()) / max(float((moved[known] ** 2).sum()), 1e-300))
+    motion = float((moved[known] ** 2).sum())
+    return math.sqrt(float((by_speed[known] ** 2).sum()) / motion) if motion else math.nan
 
 
 _DEG = math.pi / 180.0

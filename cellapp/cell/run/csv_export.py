@@ -1,4 +1,8 @@
-"""Export of readings to CSV, in the columns of ``columns.COLUMNS``; see ``csv_import`` for the format."""
+"""Readings as cells of a table in the columns of ``columns.COLUMNS``: export to CSV, and arrays from memory.
+
+See ``csv_import`` for the format. Arrays become the table that a CSV file of the same values gives, so that they are
+checked as those of a file.
+"""
 
 from __future__ import annotations
 
@@ -6,17 +10,24 @@ import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from operator import itemgetter
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
 
 from cellapp.cell.run.arm_cells import is_known
 from cellapp.cell.run.columns import Kind
-from cellapp.cell.run.csv_text import quoted_text, write_csv
+from cellapp.cell.run.csv_text import CsvTable, quoted_text, table_in_memory, whole, write_csv
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.recordings import read_stream, recording_states
 from cellapp.cell.run.records import RecordingState
-from cellapp.estimation.readings.columns import COLUMNS
+from cellapp.estimation.readings.columns import COLUMNS, CONFIGURATION, Column, Values
 from cellapp.estimation.readings.readings import Readings
+from cellapp.ground.counting import did_you_mean
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs
+from cellapp.ground.profile import Profile
+from cellapp.robot.model.arguments import of_arm
 
 
 def write_readings_csv(run: RunFile, path: Path, outputs: Outputs = NEW_ONLY) -> None:
@@ -59,11 +70,8 @@ def _header(arms: Mapping[str, Readings], imported: Sequence[str]) -> list[str]:
 
 def _rows(arm: str, readings: Readings, names: Sequence[str]) -> list[tuple[str, ...]]:
     """Return the cells of one arm's readings in the columns ``names``; empty where it has no value."""
-    n = len(readings)
-    texts: dict[str, Sequence[str]] = {
-        "arm": [arm] * n,
-        **{name: [*map(quoted_text, its)] for name, its in readings.extras.items()},
-    }
+    texts: dict[str, Sequence[str]] = {"arm": [arm] * len(readings)}
+    texts |= {name: [*map(quoted_text, its)] for name, its in readings.extras.items()}
     for column in COLUMNS:
         values = getattr(readings, column.name)
         if isinstance(values, tuple):
@@ -72,8 +80,91 @@ def _rows(arm: str, readings: Readings, names: Sequence[str]) -> list[tuple[str,
             matrix = column.matrix(values)
             for place, name in enumerate(column.csv_names(readings.joints)):
                 texts[name] = ["" if number != number else repr(number) for number in matrix[:, place].tolist()]
-    empty = [""] * n
+    empty = [""] * len(readings)
     return list(zip(*(texts.get(name, empty) for name in names), strict=True))
+
+
+# -- Arrays of readings as a table -------------------------------------------------------------------------------------
+
+
+def table_of_arrays(profile: Profile, arms: Mapping[str, Mapping[str, Any]]) -> CsvTable:
+    """Convert arrays to cells.
+
+    Parameters
+    ----------
+    profile : Profile
+    arms : mapping
+        Arm -> quantity -> array, with the names, shapes and units of ``Readings``: ``q`` (n, N) [rad] and ``p_M``
+        (n, 3) [m] at least. One number stands for n equal ones. Without ``configuration`` (n,) row k is stop k, and all
+        arms must have as many rows.
+
+    Raises
+    ------
+    InputError
+        If an arm is not in the profile, a quantity is unknown or missing, or an array has another shape.
+    """
+    if not arms:
+        raise InputError(f"readings: no arm is given; expected arrays of {', '.join(profile.arms)}")
+    given = {name: _of_arrays(profile, name, quantities) for name, quantities in arms.items()}
+    numbered = all(its.get(CONFIGURATION.name) is not None for its in arms.values())
+    if len({len(its) for its in given.values()}) > 1 and not numbered:
+        words = ", ".join(f"{len(its)} of arm {name}" for name, its in given.items())
+        raise InputError(f"readings: {words}; give 'configuration' (n,), which says what was measured at the same stop")
+    names = _header(given, ())
+    rows = [row for name, its in given.items() for row in _rows(name, its, names)]
+    places = [f"arm {name}, row {row}" for name, its in given.items() for row in range(len(its))]
+    columns = zip(*rows, strict=True) if rows else [()] * len(names)
+    return table_in_memory("readings", dict(zip(names, columns, strict=True)), places)
+
+
+def _of_arrays(profile: Profile, name: str, quantities: Mapping[str, Any]) -> Readings:
+    """Return the quantities of one arm as readings, whose values are not checked yet."""
+    joints, known = len(of_arm(profile.arms, name, f"profile {profile.name}").type.joints), [c.name for c in COLUMNS]
+    if not isinstance(quantities, Mapping):
+        raise InputError(f"arm {name}: expected names with arrays, as {{'q': ..., 'p_M': ...}}, got {quantities!r:.40}")
+    for quantity in quantities:
+        if quantity not in known:
+            hint = did_you_mean(quantity, known, cutoff=0.4, otherwise=f"; known are {', '.join(known)}")
+            raise InputError(f"arm {name}: no quantity is called '{quantity}'{hint}")
+    for column in COLUMNS:
+        if column.required and column is not CONFIGURATION and quantities.get(column.name) is None:
+            shape = _shape_words(column, joints)
+            raise InputError(f"arm {name}: {column.name} is missing; expected an array {shape}")
+    n = len(np.atleast_1d(np.asarray(quantities["q"], dtype=object)))
+    given = {CONFIGURATION.name: np.arange(n)} | {key: its for key, its in quantities.items() if its is not None}
+    values: dict[str, Any] = {
+        column.name: _array(f"arm {name}: {column.name}", column, given[column.name], n, joints)
+        if column.name in given
+        else column.missing(n, joints)
+        for column in COLUMNS
+    }
+    return Readings(**values)
+
+
+def _array(where: str, column: Column, value: ArrayLike, n: int, joints: int) -> Values:
+    """Convert a quantity to an array of its shape, or to n words."""
+    dtype = object if column is CONFIGURATION or column.dtype is str else np.float64
+    try:
+        array = np.asarray(value, dtype=dtype)
+    except (TypeError, ValueError):
+        raise InputError(f"{where} is no array of numbers; expected shape {_shape_words(column, joints)}") from None
+    if array.ndim == 0 and column.shape == "scalar" and column is not CONFIGURATION:
+        array = np.full(n, array)
+    expected = column.array_shape(n, joints)
+    if array.shape != expected:
+        single = "; a single row is array[np.newaxis]" if array.shape == expected[1:] else ""
+        shape = _shape_words(column, joints)
+        raise InputError(f"{where} has shape {array.shape}, expected {shape} with n = {n}, the rows of q{single}")
+    if column is CONFIGURATION:
+        return np.array(whole(array.tolist()), dtype=object)
+    return tuple(array.tolist()) if column.dtype is str else array
+
+
+def _shape_words(column: Column, joints: int) -> str:
+    """Return the shape of n values, as "(n, 3) [m]"."""
+    _, *inner = column.array_shape(0, joints)
+    unit = f" [{column.unit}]" if column.unit else ""
+    return f"(n,{','.join(f' {size}' for size in inner)}){unit}"
 
 
 # -- Export of recordings of motion to CSV, as ``recordings_csv`` reads them ------------------------------------------

@@ -8,14 +8,14 @@ measurement, which gives each joint's last motion (``in_order``). Unknown column
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.cell.run.arm_cells import ArmCells, is_known, not_per_joint, read_arm, stem_and_joint
-from cellapp.cell.run.csv_text import CsvTable, Problems, check_names, read_csv_table
+from cellapp.cell.run.csv_text import CsvTable, Problems, read_csv_table
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.measurement_order import in_measured_order, order_fault, order_sentences, write_in_order
 from cellapp.cell.run.orientation_columns import names_with_quaternion, with_quaternions
@@ -30,7 +30,7 @@ from cellapp.cell.run.stations import (
 )
 from cellapp.estimation.calibration.quantities import repeats_words
 from cellapp.estimation.calibration.station_location import COMPUTED, explained, wrong_factory
-from cellapp.estimation.readings.columns import COLUMNS, CONFIGURATION, OF_SOCKETS
+from cellapp.estimation.readings.columns import COLUMNS, OF_SOCKETS
 from cellapp.estimation.readings.readings import Readings, lost_points, one_pose_a_stop, smr_names
 from cellapp.ground.counting import did_you_mean
 from cellapp.ground.errors import InputError
@@ -42,6 +42,10 @@ from cellapp.robot.model.nominal import published_rows
 
 _FEWEST_JUDGED = 10
 """Least number of rows that show whether points are computed."""
+
+
+_Lines = Mapping[str, Sequence[int]]
+"""Arm -> the line of each of its readings, in their order."""
 
 
 class WhichSmr(InputError):
@@ -88,7 +92,7 @@ def readings_from_csv(
         if orders:
             write_in_order(run, orders)
         if tied:
-            run.write_result(STATIONS_RESULT, tied)
+            run.write_document(STATIONS_RESULT, tied)
         for note in notes:
             run.log("note", note)
 
@@ -122,11 +126,9 @@ def readings_of_table(
         If an arm has readings of two SMRs, and ``smr`` does not say which one counts.
     """
     joint_counts = {name: len(arm.type.joints) for name, arm in profile.arms.items()}
-    readings, orders, lost, notes = arms_of_table(table, joint_counts, in_order, joint_limits(profile))
-    _check_payloads(profile, table, readings)
-    readings, made = _one_a_stop(
-        table.take([n for n, line in enumerate(table.lines) if line not in lost]), readings, smr
-    )
+    readings, orders, lines, notes = arms_of_table(table, joint_counts, in_order, joint_limits(profile))
+    _check_payloads(profile, table, readings, lines)
+    readings, made = _one_a_stop(table, readings, lines, smr)
     said = {arm: repeats_words(its.q, its.p_M) for arm, its in readings.items() if its.station is None}
     misfits = {
         arm: _computed(profile.arms[arm], its) or wrong_factory(profile.arms[arm], its) for arm, its in readings.items()
@@ -142,23 +144,23 @@ def readings_of_table(
     return readings, orders, notes
 
 
-def _seen(cells: ArmCells, its: Readings) -> tuple[Readings, set[int], list[str]]:
-    """Leave out rows whose point is none, as the beam was lost; return also their lines, and sentences on them."""
+def _seen(cells: ArmCells, its: Readings) -> tuple[list[int], list[str]]:
+    """Return the rows that have a point, and sentences on the others, where the beam was lost."""
     lost = lost_points(its.q, its.p_M)
-    places = {row: f"{cells.table.place(cells.line(row))}: x_m, y_m, z_m" for row in lost}
-    notes = [f"{places[row]}: {words}: the beam was lost; left out" for row, words in lost.items()]
-    kept = [row for row in range(len(its)) if row not in lost]
-    return its.take(kept), {cells.line(row) for row in lost}, notes
+    notes = [
+        f"{cells.table.place(cells.line(row))}: x_m, y_m, z_m: {words}: the beam was lost; left out"
+        for row, words in lost.items()
+    ]
+    return [row for row in range(len(its)) if row not in lost], notes
 
 
-def _check_payloads(profile: Profile, table: CsvTable, readings: Mapping[str, Readings]) -> None:
+def _check_payloads(profile: Profile, table: CsvTable, readings: Mapping[str, Readings], lines: _Lines) -> None:
     problems = Problems(table.place)
     for name, its in readings.items():
         masses = np.array([joint.mass for joint in profile.arms[name].type.joints])
         if its.payload_kg is not None and (row := too_heavy(its.payload_kg, masses)) is not None:
-            stop, kg = its.configuration[row], its.payload_kg[row]
-            line = next(at for at, its in zip(table.lines, table.cells[CONFIGURATION.name]) if int(its) == stop)
-            problems.add(line, "payload_kg", f"expected at most the arm's own mass, {masses.sum():.3g} kg, got {kg:g}")
+            text = f"expected at most the arm's own mass, {masses.sum():.3g} kg, got {its.payload_kg[row]:g}"
+            problems.add(lines[name][row], "payload_kg", text)
     problems.check()
 
 
@@ -172,7 +174,7 @@ def _computed(arm: Arm, its: Readings) -> str:
 
 
 def _one_a_stop(
-    table: CsvTable, readings: Mapping[str, Readings], smr: str | None
+    table: CsvTable, readings: Mapping[str, Readings], lines: _Lines, smr: str | None
 ) -> tuple[dict[str, Readings], list[str]]:
     """Make one reading a stop of each arm; return them, and sentences on what was made of several SMRs."""
     problems, found, notes = Problems(table.place), dict(readings), list[str]()
@@ -180,8 +182,7 @@ def _one_a_stop(
         known = dict.fromkeys(name for its in readings.values() for name in smr_names(its))
         raise InputError(f"--smr: no reading is of an SMR '{smr}'; there are {', '.join(known) or 'no names of SMRs'}")
     for arm, its in readings.items():
-        lines, names, faults = _lines_of(table, arm), smr_names(its), list[tuple[int, str, str]]()
-        faults += [(row, "station", text) for row, text in twice_at_a_stop(its)]
+        names, faults = smr_names(its), [(row, "station", text) for row, text in twice_at_a_stop(its)]
         if len(names) > 1 and smr is not None:
             found[arm] = its.take([row for row, word in enumerate(its.smr or ()) if word == smr])
         elif len(names) == 2:
@@ -194,18 +195,11 @@ def _one_a_stop(
             found[arm], made, faults = one_pose_a_stop(its)
             notes.append(f"{table.path}: arm '{arm}': {made}; smr.offset of the profile is that of {names[0]}")
         for row, column, text in faults:
-            problems.add(lines[row], column, text)
+            problems.add(lines[arm][row], column, text)
         if not len(found[arm]):
             raise InputError(f"{table.path}: smr: no reading of arm '{arm}' is of SMR '{smr}'")
     problems.check()
     return found, notes
-
-
-def _lines_of(table: CsvTable, arm: str) -> list[int]:
-    """Return the lines of an arm's rows, in the order of its readings: by configuration."""
-    numbers = table.cells[CONFIGURATION.csv[0]]
-    own = zip(table.cells["arm"], numbers, table.lines, strict=True)
-    return [line for _, line in sorted((int(n), line) for name, n, line in own if name.strip() == arm)]
 
 
 def joint_limits(profile: Profile) -> dict[str, NDArray[np.float64]]:
@@ -215,14 +209,13 @@ def joint_limits(profile: Profile) -> dict[str, NDArray[np.float64]]:
 
 def arms_of_table(
     table: CsvTable, joint_counts: Mapping[str, int], in_order: bool, limits: Mapping[str, NDArray[np.float64]]
-) -> tuple[dict[str, Readings], dict[str, ArmOrder], set[int], list[str]]:
+) -> tuple[dict[str, Readings], dict[str, ArmOrder], _Lines, list[str]]:
     """Read the readings of each arm that occurs, ordered by configuration; unknown columns are in ``extras``.
 
-    Return also what their order of measurement gave, lines that are left out, and notes. Joint positions further beyond
-    the ``limits`` (N, 2) [rad] of an arm than a revolution are refused.
+    Return also what their order of measurement gave, the lines of the readings, and notes. Joint positions further
+    beyond the ``limits`` (N, 2) [rad] of an arm than a revolution are refused.
     """
     problems = Problems(table.place)
-    check_names(table, problems)  # of all columns, before those of an orientation are replaced
     table, unsaid = with_quaternions(table)
     _check_header(table, problems)
     names = [name.strip() for name in table.cells["arm"]]
@@ -232,9 +225,7 @@ def arms_of_table(
         elif name not in joint_counts:
             problems.add(line, "arm", f"arm '{name}' is not in the profile; arms are {', '.join(joint_counts)}")
     problems.check()
-    readings: dict[str, Readings] = {}
-    orders: dict[str, ArmOrder] = {}
-    left_out, seen = set[int](), list[str]()
+    readings, orders, lines, seen = dict[str, Readings](), dict[str, ArmOrder](), dict[str, list[int]](), list[str]()
     for arm in joint_counts:
         rows = [index for index, name in enumerate(names) if name == arm]
         cells = ArmCells(table, rows, problems)
@@ -246,14 +237,14 @@ def arms_of_table(
             cells.refuse(*fault)
         elif in_order:
             result, orders[arm] = in_measured_order(result)
-        result, lost, said = _seen(cells, result)
-        left_out |= lost
+        kept, said = _seen(cells, result)
         seen += said
-        if len(result):
-            readings[arm] = result.take(np.argsort(result.configuration, kind="stable"))
+        if kept:
+            kept.sort(key=result.configuration.tolist().__getitem__)
+            readings[arm], lines[arm] = result.take(kept), [cells.line(row) for row in kept]
     problems.check()
     notes = [*seen, *_notes(table, joint_counts, readings), *unsaid, *order_sentences(orders)]
-    return readings, orders, left_out, notes
+    return readings, orders, lines, notes
 
 
 def _check_header(table: CsvTable, problems: Problems) -> None:

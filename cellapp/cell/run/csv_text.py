@@ -4,9 +4,8 @@ Format of a CSV file: header row, separator, decimal commas, comments, encoding.
 
 Readings and recordings of other programs are read in the format that is detected here.
 
-Readings in memory: data frames and arrays as the table of cells that a CSV file of the same values gives.
-
-Numbers become their shortest exact texts, so that they are checked as those of a file.
+Data frames as the table of cells that a CSV file of the same values gives: numbers become their shortest exact texts,
+so that they are checked as those of a file.
 """
 
 from __future__ import annotations
@@ -18,22 +17,16 @@ import itertools
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO, TypeGuard
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
-
-from cellapp.estimation.readings.columns import COLUMNS, CONFIGURATION, Column
-from cellapp.ground.counting import did_you_mean
+from cellapp.estimation.readings.columns import CONFIGURATION
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs
-from cellapp.ground.profile import Profile
-from cellapp.robot.model.arguments import of_arm
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -61,10 +54,14 @@ class CsvTable:
     """
 
     path: Path
-    names: tuple[str, ...]
     lines: tuple[int, ...]
     cells: dict[str, tuple[str, ...]]
     row_places: tuple[str, ...] | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the columns, in order."""
+        return tuple(self.cells)
 
     def place(self, line: int) -> str:
         """Return where a line is: "file:line", or the row of a table that is not a file."""
@@ -153,9 +150,10 @@ def read_csv_table(path: Path, what: str = "readings", row: str = "a row per arm
     InputError
         As ``csv_rows``.
     """
-    (_, names), *rows = csv_rows(path, what, row)
+    (head, names), *rows = csv_rows(path, what, row)
+    check_names(names, f"{path}:{head}")
     columns = zip(*(cells for _, cells in rows), strict=True) if rows else [()] * len(names)
-    return CsvTable(path, tuple(names), tuple(line for line, _ in rows), dict(zip(names, columns, strict=True)))
+    return CsvTable(path, tuple(line for line, _ in rows), dict(zip(names, columns, strict=True)))
 
 
 def csv_rows(path: Path, what: str, row: str) -> Iterator[tuple[int, list[str]]]:
@@ -191,13 +189,15 @@ def split_row(line: str, separator: str) -> list[str]:
     return [cell.strip() for cell in next(csv.reader([line], delimiter=separator), [])]
 
 
-def check_names(table: CsvTable, problems: Problems) -> None:
-    """Note columns without a name, and names that are there twice."""
-    for number, name in enumerate(table.names, start=1):
+def check_names(names: Sequence[str], place: str) -> None:
+    """Raise ``InputError`` for columns without a name, and for names that are there twice."""
+    problems = Problems(lambda _: place)
+    for number, name in enumerate(names, start=1):
         if not name:
-            problems.add(1, f"column {number}", "has no name; name it or remove it")
-    for name in dict.fromkeys(name for name in table.names if name and table.names.count(name) > 1):
-        problems.add(1, name, "the column is there twice; keep one")
+            problems.add(number, f"column {number}", "has no name; name it or remove it")
+        elif name in names[: number - 1]:
+            problems.add(number, name, "the column is there twice; keep one")
+    problems.check()
 
 
 def _named(names: Sequence[str]) -> list[str]:
@@ -292,20 +292,10 @@ class CsvFile:
     thousands: str = ""
     """Sign between the thousands of its numbers."""
 
-    @property
-    def plain(self) -> bool:
-        """Whether it is plain CSV from its first line on."""
-        form = (self.separator, self.head, self.trailing, self.encoding, self.decimal_comma, self.thousands)
-        return form == (",", 1, 0, "utf-8-sig", False, "")
-
     def rows(self) -> Iterator[tuple[int, list[str]]]:
         """Yield line and cells of each row below the header, which may be repeated. Raises as ``csv_rows``."""
-        if self.plain:
-            below = itertools.islice(csv_rows(self.path, self.what, ROW), 1, None)
-            rows = ((line, row) for line, row in below if not row[0].lstrip().startswith(COMMENTS))
-        else:
-            rows = ((line, split_row(text, self.separator)) for line, text in self._numbered())
-        for line, cells in rows:
+        for line, text in self._numbered():
+            cells = split_row(text, self.separator)
             if cells[0].strip() == self.names[0] and tuple(map(str.strip, cells)) == self.names:
                 continue
             if len(cells) < len(self.names) or any(cells[len(self.names) :]):
@@ -366,9 +356,7 @@ def read_header(path: Path, what: str, example: str) -> CsvFile:
         seen[name] += 1
         names.append(f"{name} ({seen[name]})" if name and seen[name] > 1 else name)
     found = replace(found, names=tuple(names))
-    problems = Problems(lambda _: f"{path}:{found.head}")
-    check_names(CsvTable(path, found.names, (), {}), problems)
-    problems.check()
+    check_names(found.names, f"{path}:{found.head}")
     return found
 
 
@@ -498,16 +486,6 @@ def is_number(cell: str) -> bool:
     return not text or (NUMBER.fullmatch(text) is not None and math.isfinite(float(text)))
 
 
-_BY_NAME = {column.name: column for column in COLUMNS}
-_SHAPES = {
-    "scalar": "(n,)",
-    "joints": "(n, {joints})",
-    "point": "(n, 3)",
-    "quaternion": "(n, 4)",
-    "symmetric": "(n, 3, 3)",
-}
-
-
 def is_frame(value: object) -> TypeGuard[pd.DataFrame]:
     """Return whether a value is a data frame of pandas, which need not be installed."""
     return type(value).__name__ == "DataFrame" and hasattr(value, "columns")
@@ -518,114 +496,21 @@ def table_of_frame(frame: pd.DataFrame) -> CsvTable:
 
     Messages name rows by the index of the frame.
     """
-    names = tuple(str(name) for name in frame.columns)
-    texts = [
-        _texts(column.astype(object).where(column.notna(), None).tolist(), whole=name == CONFIGURATION.name)
-        for name, (_, column) in zip(names, frame.items(), strict=True)
-    ]
-    places = tuple(f"data frame, row {label}" for label in frame.index.tolist())
-    return CsvTable(Path("data frame"), names, _lines(len(frame)), dict(zip(names, texts, strict=True)), places)
-
-
-def table_of_arrays(profile: Profile, arms: Mapping[str, Mapping[str, Any]]) -> CsvTable:
-    """Convert arrays to cells.
-
-    Parameters
-    ----------
-    profile : Profile
-    arms : mapping
-        Arm -> quantity -> array, with the names, shapes and units of ``Readings``: ``q`` (n, N) [rad] and ``p_M``
-        (n, 3) [m] at least. One number stands for n equal ones. Without ``configuration`` (n,) row k is stop k, and all
-        arms must have as many rows.
-
-    Raises
-    ------
-    InputError
-        If an arm is not in the profile, a quantity is unknown or missing, or an array has another shape.
-    """
-    if not arms:
-        raise InputError(f"readings: no arm is given; expected arrays of {', '.join(profile.arms)}")
-    given = {name: _arm_arrays(profile, name, quantities) for name, quantities in arms.items()}
-    counts = {name: len(arrays["q"]) for name, arrays in given.items()}
-    if len(set(counts.values())) > 1 and any(CONFIGURATION.name not in arrays for arrays in given.values()):
-        words = ", ".join(f"{n} of arm {name}" for name, n in counts.items())
-        raise InputError(f"readings: {words}; give 'configuration' (n,), which says what was measured at the same stop")
-    joints = max(len(profile.arms[name].type.joints) for name in given)
-    used = [column for column in COLUMNS if column.required or any(column.name in one for one in given.values())]
-    cells: dict[str, list[str]] = {"arm": [name for name, n in counts.items() for _ in range(n)]}
-    for column in used:
-        parts = [_column_texts(column, given[name], joints, n) for name, n in counts.items()]
-        for place, csv_name in enumerate(column.csv_names(joints)):
-            cells[csv_name] = [text for part in parts for text in part[place]]
-    places = tuple(f"arm {name}, row {row}" for name, n in counts.items() for row in range(n))
-    table = {name: tuple(texts) for name, texts in cells.items()}
-    return CsvTable(Path("readings"), tuple(table), _lines(len(places)), table, places)
-
-
-# -- inside -----------------------------------------------------------------------------------------------------------
-
-
-def _lines(rows: int) -> tuple[int, ...]:
-    """Return line numbers of the rows; line 1 is the header, as in a file."""
-    return tuple(range(2, rows + 2))
-
-
-def _texts(values: list[Any], *, whole: bool = False) -> tuple[str, ...]:
-    """Convert each value to its shortest exact text; whole numbers that are stored as floats get no point."""
-    if whole:
-        values = [int(one) if isinstance(one, float) and one.is_integer() else one for one in values]
-    return tuple("" if one is None or one != one else str(one) for one in values)
-
-
-def _arm_arrays(profile: Profile, name: str, quantities: Mapping[str, Any]) -> dict[str, Any]:
-    """Check the quantities of one arm; return each as an array of its shape, or as n words."""
-    joints = len(of_arm(profile.arms, name, f"profile {profile.name}").type.joints)
-    if not isinstance(quantities, Mapping):
-        raise InputError(f"arm {name}: expected names with arrays, as {{'q': ..., 'p_M': ...}}, got {quantities!r:.40}")
-    for quantity in quantities:
-        if quantity not in _BY_NAME:
-            hint = did_you_mean(quantity, _BY_NAME, cutoff=0.4, otherwise=f"; known are {', '.join(_BY_NAME)}")
-            raise InputError(f"arm {name}: no quantity is called '{quantity}'{hint}")
-    for column in COLUMNS:
-        if column.required and column is not CONFIGURATION and quantities.get(column.name) is None:
-            shape = _SHAPES[column.shape].format(joints=joints)
-            raise InputError(f"arm {name}: {column.name} is missing; expected an array {shape} [{column.unit}]")
-    n = len(np.atleast_1d(np.asarray(quantities["q"], dtype=object)))
-    return {
-        column.name: _array(f"arm {name}: {column.name}", column, quantities[column.name], n, joints)
-        for column in COLUMNS
-        if quantities.get(column.name) is not None
+    names = [str(name) for name in frame.columns]
+    check_names(names, "data frame")
+    columns = [column.astype(object).where(column.notna(), None).tolist() for _, column in frame.items()]
+    cells = {
+        name: tuple("" if one is None else str(one) for one in (whole(its) if name == CONFIGURATION.name else its))
+        for name, its in zip(names, columns, strict=True)
     }
+    return table_in_memory("data frame", cells, [f"data frame, row {label}" for label in frame.index.tolist()])
 
 
-def _array(where: str, column: Column, value: ArrayLike, n: int, joints: int) -> NDArray[Any]:
-    """Convert a quantity to an array of its shape."""
-    dtype = None if column is CONFIGURATION else object if column.dtype is str else np.float64
-    try:
-        array = np.asarray(value, dtype=dtype)
-    except (TypeError, ValueError):
-        raise InputError(f"{where} is no array of numbers; expected shape {_shape_words(column, joints)}") from None
-    if array.ndim == 0 and column.shape == "scalar" and column is not CONFIGURATION:
-        array = np.full(n, array, dtype=dtype)
-    expected = column.array_shape(n, joints)
-    if array.shape != expected:
-        single = "; a single row is array[np.newaxis]" if array.shape == expected[1:] else ""
-        shape = _shape_words(column, joints)
-        raise InputError(f"{where} has shape {array.shape}, expected {shape} with n = {n}, the rows of q{single}")
-    return array
+def table_in_memory(name: str, cells: dict[str, tuple[str, ...]], places: Sequence[str]) -> CsvTable:
+    """Return cells by column as a table; ``places`` say where each row is. Line 1 is the header, as in a file."""
+    return CsvTable(Path(name), tuple(range(2, len(places) + 2)), cells, tuple(places))
 
 
-def _shape_words(column: Column, joints: int) -> str:
-    unit = f" [{column.unit}]" if column.unit else ""
-    return f"{_SHAPES[column.shape].format(joints=joints)}{unit}"
-
-
-def _column_texts(column: Column, arrays: Mapping[str, Any], joints: int, n: int) -> list[tuple[str, ...]]:
-    """Return the texts of one arm's rows for each CSV column of a quantity; empty where it has no value."""
-    width = len(column.csv_names(joints))
-    values = arrays.get(column.name)
-    if values is None:
-        return [_texts(list(range(n))) if column is CONFIGURATION else ("",) * n] * width
-    own = column.matrix(values).T.tolist()
-    given = [_texts(numbers, whole=column is CONFIGURATION) for numbers in own]
-    return [*given, *[("",) * n] * (width - len(own))]
+def whole(values: Sequence[Any]) -> list[Any]:
+    """Return numbers of stops, with whole ones that are stored as floats as integers."""
+    return [int(one) if isinstance(one, float) and one.is_integer() else one for one in values]

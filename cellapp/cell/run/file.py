@@ -529,31 +529,26 @@ class RunFile:
             Event(*row) for row in self._select("SELECT number, written, time_s, level, text FROM event ORDER BY 1")
         ]
 
-    def write_result(self, name: str, json_text: str) -> None:
+    def write_document(self, name: str, json_text: str) -> None:
         """Store a document that is not the result of a verb; it replaces an earlier one of that name."""
         with self.change() as connection:
             insert_document(connection, name, json_text)
 
-    def read_result(self, name: str) -> str | None:
+    def read_document(self, name: str) -> str | None:
         """Return the text of a stored document, or None."""
-        document = self.read_document(name)
-        return None if document is None else document[1]
+        with self.look() as connection:
+            return select_document(connection, name)
 
     def read_checked(self, name: str, kind: TypeAdapter[T], otherwise: T, to_do: str) -> T:
         """Return a stored document of this ``kind``, or ``otherwise``.
 
         Raise ``InputError`` with what is ``to_do`` if it is damaged.
         """
-        text = self.read_result(name)
+        text = self.read_document(name)
         try:
             return otherwise if text is None else kind.validate_json(text, extra="ignore")
         except ValidationError as error:
             raise InputError(f"{self.path}: the document '{name}' is damaged; {to_do}") from error
-
-    def read_document(self, name: str) -> tuple[str, str] | None:
-        """Return when a stored document was written (UTC), and its text; None without one."""
-        with self.look() as connection:
-            return select_document(connection, name)
 
     def append_stage(self, name: str, basis: str | None, text: str, model: str | None) -> None:
         """Append what a verb produced: its result, its model (JSON) if it made one, and what they rest on."""
@@ -740,10 +735,10 @@ def rehearsals_path(profile: Path) -> Path:
 
 def note_profile(run: RunFile, path: Path) -> None:
     """Store in a run where its profile's file is."""
-    run.write_result(_STORED, str(path.resolve()))
+    run.write_document(_STORED, str(path.resolve()))
 
 
 def noted_profile(run: RunFile) -> Path | None:
     """Return where the profile's file was when the run was planned; None if that is not known."""
-    text = run.read_result(_STORED)
+    text = run.read_document(_STORED)
     return None if text is None else Path(text)

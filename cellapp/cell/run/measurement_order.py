@@ -85,7 +85,7 @@ def in_measured_order(readings: Readings) -> tuple[Readings, ArmOrder]:
 
 def write_in_order(run: RunFile, orders: Mapping[str, ArmOrder]) -> None:
     """Store what an import derived from the order of the rows, by arm."""
-    run.write_result(IN_ORDER_RESULT, _DOCUMENT.dump_json(dict(orders)).decode())
+    run.write_document(IN_ORDER_RESULT, _DOCUMENT.dump_json(dict(orders)).decode())
 
 
 def read_in_order(run: RunFile) -> dict[str, ArmOrder]:

@@ -210,7 +210,7 @@ def with_quaternions(table: CsvTable) -> tuple[CsvTable, list[str]]:
         own = [tuple("" if math.isnan(value) else repr(value) for value in column) for column in found.T.tolist()]
     columns = {name: its for name, its in table.cells.items() if name not in written.columns}
     columns |= dict(zip(QUATERNION, own, strict=True))
-    return replace(table, names=tuple(columns), cells=columns), [written.said]
+    return replace(table, cells=columns), [written.said]
 
 
 def _plain(name: str) -> str:

@@ -168,7 +168,7 @@ def read_recorded(path: Path, taken: Sequence[str] = (), choose: Choose = nobody
         raise InputError(f"{path}: expected a row of names and at least {_LEAST_ROWS} rows of readings")
     cells = _plain_columns(dict(zip(file.names, zip(*(row for _, row in rows), strict=True), strict=True)))
     cells, of_units = _of_one_unit(*_cartesian(path, cells))
-    table = CsvTable(path, tuple(cells), tuple(line for line, _ in rows), cells)
+    table = CsvTable(path, tuple(line for line, _ in rows), cells)
     written, _ = written_orientation(table.names)
     if written is not None and _are_joints(table, written):
         written, notes = None, list[str]()
@@ -185,7 +185,7 @@ def read_recorded(path: Path, taken: Sequence[str] = (), choose: Choose = nobody
         taken = (*taken, answer)
         known = understood(names, "readings", _OWN, written, taken, row)
     _check_joints(path, file.head, file.names, known)
-    table = CsvTable(path, known.names, table.lines, dict(zip(known.names, table.cells.values(), strict=True)))
+    table = CsvTable(path, table.lines, dict(zip(known.names, table.cells.values(), strict=True)))
     joints = _joints(table.names)
     points = POINT if set(POINT) <= {*table.names} else ()
     notes += of_units
@@ -341,7 +341,7 @@ def _row_per_smr(table: CsvTable, known: Understood) -> tuple[CsvTable, str]:
     cells |= {axis: tuple(table.cells[own[smr][k]][row] for row, smr in kept) for k, axis in enumerate(POINT)}
     cells = {"configuration": tuple(str(row) for row, _ in kept)} | cells | {"smr": tuple(smr for _, smr in kept)}
     words = [f"{smr} is {np.nanmean(its):.6g} from {name}" for smr, its in apart.items()]
-    return replace(both, names=tuple(cells), cells=cells), f"SMRs {', '.join(own)} in each row: {', '.join(words)}"
+    return replace(both, cells=cells), f"SMRs {', '.join(own)} in each row: {', '.join(words)}"
 
 
 def converted(

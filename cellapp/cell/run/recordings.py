@@ -182,12 +182,12 @@ def keep_samples(run: RunFile, samples: Mapping[str, Readings]) -> None:
         arm: {name: np.asarray(value).tolist() for name in _KEPT if (value := getattr(its, name)) is not None}
         for arm, its in samples.items()
     }
-    run.write_result(_DOCUMENT, json.dumps(content))
+    run.write_document(_DOCUMENT, json.dumps(content))
 
 
 def known_readings(run: RunFile, arm: str) -> Readings:
     """Return the readings of one arm at rest, followed by the samples of its recordings that the calibration stored."""
-    measured, text = run.readings(arm), run.read_result(_DOCUMENT)
+    measured, text = run.readings(arm), run.read_document(_DOCUMENT)
     stored = None if text is None else json.loads(text).get(arm)
     if stored is None:
         return measured

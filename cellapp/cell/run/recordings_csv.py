@@ -332,13 +332,10 @@ def _notes(recorded: RecordedStreams) -> list[str]:
 def stamp_words(state: RecordingState, kind: Kind) -> list[str]:
     """Describe irregular timestamps of a stream, in sentences."""
     its = state.joints if kind == "joints" else state.points
-    sentences = []
-    if its.gaps:
-        sentences.append(f"{kind} have {its.gaps} gaps, the longest of {its.longest_gap_s:.3g} s")
-    if its.repeats:
-        sentences.append(f"{its.repeats} stamps of {kind} repeat the one before")
-    if its.backward:
-        sentences.append(f"{its.backward} stamps of {kind} are before the one before; rows keep their order")
-    if its.lost:
-        sentences.append(f"{its.lost} rows of {kind} have no coordinates (beam lost); they are left out")
-    return sentences
+    found = (
+        (its.gaps, f"{kind} have {its.gaps} gaps, the longest of {its.longest_gap_s:.3g} s"),
+        (its.repeats, f"{its.repeats} stamps of {kind} repeat the one before"),
+        (its.backward, f"{its.backward} stamps of {kind} are before the one before; rows keep their order"),
+        (its.lost, f"{its.lost} rows of {kind} have no coordinates (beam lost); they are left out"),
+    )
+    return [sentence for count, sentence in found if count]

@@ -122,7 +122,7 @@ def note_at_rest(run: RunFile, arm: str, how: str) -> bool:
     before = _read(run, arm)
     if before is None:
         return False
-    run.write_result(_DOCUMENT.format(arm=arm), "null")
+    run.write_document(_DOCUMENT.format(arm=arm), "null")
     run.log("info", f"arm {arm}: at rest: {how}; it counted as moving since {before.since}")
     return True
 
@@ -130,12 +130,12 @@ def note_at_rest(run: RunFile, arm: str, how: str) -> bool:
 def _note_unseen(run: RunFile, arm: str, reason: str) -> None:
     before = _read(run, arm)
     since = utc_now() if before is None else before.since
-    run.write_result(_DOCUMENT.format(arm=arm), _STORED.dump_json(UnseenArm(since, reason)).decode())
+    run.write_document(_DOCUMENT.format(arm=arm), _STORED.dump_json(UnseenArm(since, reason)).decode())
     run.log("error", f"arm {arm}: NOT SEEN AT REST, treat it as moving: {reason}")
 
 
 def _read(run: RunFile, arm: str) -> UnseenArm | None:
-    text = run.read_result(_DOCUMENT.format(arm=arm))
+    text = run.read_document(_DOCUMENT.format(arm=arm))
     try:
         return None if text is None else _STORED.validate_json(text)
     except ValidationError:  # a damaged record must not make an arm look safe

@@ -12,7 +12,6 @@ from __future__ import annotations
 import contextlib
 import os
 import sqlite3
-import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -59,12 +58,10 @@ def utc_now() -> str:
     return datetime.now(UTC).isoformat(timespec="milliseconds")
 
 
-def select_document(connection: sqlite3.Connection, name: str) -> tuple[str, str] | None:
-    """Return when a stored document was written (UTC), and its text; None without one."""
-    found: tuple[str, str] | None = connection.execute(
-        "SELECT written, text FROM result WHERE name = ?", (name,)
-    ).fetchone()
-    return found
+def select_document(connection: sqlite3.Connection, name: str) -> str | None:
+    """Return the text of a stored document; None without one."""
+    found = connection.execute("SELECT text FROM result WHERE name = ?", (name,)).fetchone()
+    return None if found is None else str(found[0])
 
 
 def insert_document(connection: sqlite3.Connection, name: str, text: str) -> None:
@@ -289,7 +286,7 @@ def check_header(folder: Path, path: Path) -> None:
     Raises
     ------
     InputError
-        If it is missing, no run file, cut off, or of a newer schema.
+        If it is missing, no run file, cut off within these bytes, or of a newer schema.
     """
     if not folder.exists():
         raise InputError(f"{folder}: run folder not found; plan, import or run makes one")
@@ -299,12 +296,11 @@ def check_header(folder: Path, path: Path) -> None:
         raise InputError(f"{folder} holds no run ({FILE_NAME} is missing); give the folder of a run")
     with path.open("rb") as file:
         header = file.read(_HEADER_BYTES)
-        size = file.seek(0, os.SEEK_END)
     if not _MAGIC.startswith(header[: len(_MAGIC)]):
         raise InputError(f"{path} is not a run file (not SQLite); check the folder's name")
     if len(header) < _HEADER_BYTES:
-        raise InputError(f"{path} is cut off ({size} bytes); restore it from a copy")
-    version, application = struct.unpack(">I", header[60:64])[0], struct.unpack(">I", header[68:72])[0]
+        raise InputError(f"{path} is cut off ({len(header)} bytes); restore it from a copy")
+    version, application = int.from_bytes(header[60:64], "big"), int.from_bytes(header[68:72], "big")
     if application != APPLICATION_ID:
         raise InputError(f"{path} is an SQLite file, but not a run of cellapp; check the folder's name")
     if version > SCHEMA_VERSION:
@@ -312,13 +308,6 @@ def check_header(folder: Path, path: Path) -> None:
             f"{path} was written by a newer cellapp (schema {version}, this one reads up to {SCHEMA_VERSION});"
             " install the newer cellapp to open it"
         )
-    log = Path(f"{path}-wal")
-    if log.exists() and log.stat().st_size > 0:
-        return  # pages missing in the file may be in the write-ahead log; SQLite's own check follows
-    pages, bytes_each = struct.unpack(">I", header[28:32])[0], struct.unpack(">H", header[16:18])[0]
-    expected = pages * bytes_each
-    if header[24:28] == header[92:96] and size < expected:  # else SQLite does not trust the stored size
-        raise InputError(f"{path} is cut off: {size} bytes of {expected} are there; restore it from a copy")
 
 
 def check_integrity(path: Path, connection: sqlite3.Connection) -> None:

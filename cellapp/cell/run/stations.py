@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from cellapp.cell.run.arm_cells import ArmCells
-from cellapp.cell.run.csv_text import CsvTable, Problems, check_names, read_csv_table
+from cellapp.cell.run.csv_text import CsvTable, Problems, read_csv_table
 from cellapp.cell.run.sqlite_file import select_document
 from cellapp.estimation.calibration.station_location import NestPoint, StationTie, TooFewNests, tie_stations
 from cellapp.estimation.readings import Readings
@@ -46,7 +46,6 @@ def read_reference_nests(path: Path, readings: Mapping[str, Readings]) -> tuple[
     row = "a row per nest and station"
     table = read_csv_table(Path(path), "reference nests", row)
     problems = Problems(table.place)
-    check_names(table, problems)
     for name in _COLUMNS:
         if name not in table.names:
             problems.add(1, name, f"the column is missing; expected {', '.join(_COLUMNS)} and perhaps {_SIGMA}")
@@ -109,7 +108,7 @@ def stations_text(first: str, ties: Mapping[str, StationTie], sentences: Sequenc
 def select_stations(connection: sqlite3.Connection) -> Poses:
     """Read the poses of a run's stations; empty if there are none."""
     document = select_document(connection, STATIONS_RESULT)
-    return {} if document is None else {name: np.array(T) for name, T in json.loads(document[1])["poses"].items()}
+    return {} if document is None else {name: np.array(T) for name, T in json.loads(document)["poses"].items()}
 
 
 def stored_tie_sentences(document: str | None) -> tuple[str, ...]:
@@ -188,25 +187,22 @@ def _off(rows: Mapping[int, NestPoint], first: str) -> Iterator[tuple[int, str]]
     points = list(rows.values())
     if _worst(first, points)[0] <= _OFF:
         return
-    best: tuple[float, int, float] | None = None
+    without = list[tuple[float, int, float]]()
     for line, one in rows.items():
-        if one.station == first:
-            continue
         others = [other for other in points if other is not one]
         try:
             worst, ties = _worst(first, others)
         except TooFewNests:
             continue
         known = [apply(_pose(ties, o.station), o.p[None])[0] for o in others if o.nest == one.nest]
-        if known and one.station in ties and (best is None or worst < best[0]):
+        if known and one.station in ties:
             off = float(np.linalg.norm(apply(ties[one.station].T, one.p[None])[0] - np.mean(known, axis=0)))
-            best = worst, line, off
-    if best is not None:
-        one = rows[best[1]]
+            without.append((worst, line, off))
+    for _, line, off in sorted(without)[:1]:
         yield (
-            best[1],
-            f"'{one.nest}' of station '{one.station}' is off by {1e3 * best[2]:.2f} mm from where the other nests have"
-            " it; did it move, or are names exchanged?",
+            line,
+            f"'{rows[line].nest}' of station '{rows[line].station}' is off by {1e3 * off:.2f} mm from where the other"
+            " nests have it; did it move, or are names exchanged?",
         )
 
 

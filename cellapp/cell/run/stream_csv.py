@@ -5,9 +5,8 @@ Single cells are examined only if numpy refuses the file, to name line and colum
 
 from __future__ import annotations
 
-import contextlib
 import math
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -94,29 +93,20 @@ def _load(
     file: CsvFile, names: Sequence[str], words: Collection[str], blank: Collection[str], stamps: Collection[str]
 ) -> tuple[NDArray[np.float64], dict[str, _Codes]]:
     """Load all cells as numbers (n, columns), texts as codes; an empty cell of the ``blank`` columns is NaN."""
-
-    def load(source: Path | Iterator[str]) -> tuple[NDArray[np.float64], dict[str, _Codes]]:
-        codes = {name: _Codes() for name in words}
-        converters: dict[int | str, Callable[[str], float]] = {names.index(name): _number_or_nan for name in blank}
-        converters |= {names.index(name): code.number for name, code in codes.items()}
-        converters |= {names.index(name): stamp_seconds for name in stamps}
-        table = np.loadtxt(
-            source,
-            delimiter=None if file.separator == " " else file.separator,
-            comments=None,
-            quotechar='"',
-            skiprows=file.head if source is file.path else 0,
-            usecols=range(len(names)) if file.trailing else None,
-            converters=converters or None,
-            encoding=file.encoding,
-            ndmin=2,
-        )
-        return np.asfortranarray(table), codes
-
-    if file.plain:  # the fast way, in which numpy takes comments for rows
-        with contextlib.suppress(ValueError):
-            return load(file.path)
-    return load(file.texts())
+    codes = {name: _Codes() for name in words}
+    converters: dict[int | str, Callable[[str], float]] = {names.index(name): _number_or_nan for name in blank}
+    converters |= {names.index(name): code.number for name, code in codes.items()}
+    converters |= {names.index(name): stamp_seconds for name in stamps}
+    table = np.loadtxt(
+        file.texts(),
+        delimiter=None if file.separator == " " else file.separator,
+        comments=None,
+        quotechar='"',
+        usecols=range(len(names)) if file.trailing else None,
+        converters=converters or None,
+        ndmin=2,
+    )
+    return np.asfortranarray(table), codes
 
 
 def _number_or_nan(cell: str) -> float:

@@ -19,8 +19,6 @@ from cellapp.robot.kinematics.transforms import Array
 
 _TOUCHING_FRAMES = 2
 """Capsules whose D-H frame numbers differ by at most this always overlap: they share a joint housing."""
-_WORTH_A_BOUND = 1000
-"""Number of distances from which on it saves time to find lower bounds first."""
 _ROUNDING_M = 1e-6
 """Tolerance for rounding between two distances from one obstacle: of the SMR, and of the beam that ends there [m]."""
 
@@ -213,19 +211,13 @@ def pair_gaps(placed: Placed, i: np.ndarray, k: np.ndarray, within: Array | floa
     """
     start, end = placed.start.T, placed.end.T  # contiguous in memory, hence fast to copy
     size, extent = placed.radius, placed.arm.extents
-
-    def exact(a: np.ndarray, b: np.ndarray, row: np.ndarray | slice) -> Array:
-        ends = (whole[:, one, row].T for one in (a, b) for whole in (start, end))
-        return np.asarray(segment_distance(*ends) - size[a] - size[b])
-
-    if start.shape[2] * len(i) < _WORTH_A_BOUND:
-        return exact(i, k, slice(None))
     middle = 0.5 * (start + end)
     between = middle[:, i] - middle[:, k]
     gaps = np.sqrt(np.einsum("apn,apn->pn", between, between)) - (extent[i] + extent[k])[:, None]
     near = ~(gaps > np.broadcast_to(within, gaps.T.shape).T)  # also for NaN
     pair, row = np.nonzero(near)
-    gaps[near] = exact(i[pair], k[pair], row)
+    ends = (whole[:, one[pair], row].T for one in (i, k) for whole in (start, end))
+    gaps[near] = segment_distance(*ends) - size[i[pair]] - size[k[pair]]
     return np.asarray(gaps.T)
 
 

@@ -263,15 +263,14 @@ def _box_cover(core: Array, rounding: float) -> Cover:
     """
     along = int(np.argmax(core))
     first, second = (axis for axis in range(3) if axis != along)
-    best: tuple[float, int, int] | None = None
-    for rows in range(1, _MOST_CAPSULES + 1):
-        for columns in range(1, _MOST_CAPSULES // rows + 1):
-            p, q = core[first] / rows, core[second] / columns
-            excess = math.hypot(p, q, min(p, q)) - min(p, q)
-            if best is None or excess < best[0] - 1e-9:
-                best = excess, rows, columns
-    assert best is not None
-    excess, rows, columns = best
+
+    def excess(rows: int, columns: int) -> float:
+        p, q = float(core[first]) / rows, float(core[second]) / columns
+        return math.hypot(p, q, min(p, q)) - min(p, q)
+
+    counts = range(1, _MOST_CAPSULES + 1)
+    grids = [(rows, columns) for rows in counts for columns in counts if rows * columns <= _MOST_CAPSULES]
+    rows, columns = min(grids, key=lambda grid: round(excess(*grid), 9))
     p, q = core[first] / rows, core[second] / columns
     centres = np.zeros((rows * columns, 3))
     u, v = np.meshgrid((2 * np.arange(rows) + 1 - rows) * p, (2 * np.arange(columns) + 1 - columns) * q)
@@ -279,4 +278,4 @@ def _box_cover(core: Array, rounding: float) -> Cover:
     axis = np.zeros(3)
     axis[along] = core[along] - min(p, q)
     radius = np.full(len(centres), math.hypot(p, q, min(p, q)) + rounding)
-    return Cover(centres - axis, centres + axis, radius, excess)
+    return Cover(centres - axis, centres + axis, radius, excess(rows, columns))

@@ -644,19 +644,6 @@ def _too_near(verb: str, gap: float, allowance: float, asked: float, what: str) 
     return f"{verb} within {math.floor(gap * 1e3)} mm of {what}, {asked * 1e3:.0f} mm asked"
 
 
-def remembered(gate: Gate) -> Gate:
-    """Wrap a gate with a cache: it answers once for the same bodies and exactly the same positions."""
-    known: dict[tuple[object, ...], tuple[CellBodies, str]] = {}
-
-    def answer(cell: CellBodies, start: Mapping[str, Array], end: Mapping[str, Array]) -> str:
-        key = (id(cell), *((name, q.tobytes()) for ends in (start, end) for name, q in ends.items()))
-        if key not in known:
-            known[key] = cell, gate(cell, start, end)  # the bodies are kept, so that no others get their id
-        return known[key][1]
-
-    return answer
-
-
 # -- The gate for paths that one arm follows, or several simultaneously, while the others rest ------------------------
 
 

@@ -32,9 +32,6 @@ class Shape(Protocol):
     def half(self) -> Array:
         """Half the sizes of its bounding box about the origin, shape (3,) [m]."""
 
-    def lower_bound(self, start: Array, end: Array) -> Array:
-        """Compute quick lower bounds (...) [m] of the distances of segments with ends (..., 3); NaN where an end is."""
-
     def segment_distance(self, start: Array, end: Array) -> Array:
         """Compute distances (t,) [m] of segments with ends (t, 3) from the solid; zero or negative where they meet it.
 
@@ -61,10 +58,6 @@ class RoundedBox:
     def half(self) -> Array:
         """Half the sizes of the bounding box, shape (3,) [m]."""
         return self.core + self.radius
-
-    def lower_bound(self, start: Array, end: Array) -> Array:
-        """Compute distances (...) [m] of the bounding boxes of segments with ends (..., 3)."""
-        return distance_of_boxes(self.core, start, end) - self.radius
 
     def segment_distance(self, start: Array, end: Array) -> Array:
         """Compute distances (t,) [m] of segments with ends (t, 3); exact outside, -radius inside the core.
@@ -105,15 +98,6 @@ class Cylinder:
     def half(self) -> Array:
         """Half the sizes of the bounding box, shape (3,) [m]."""
         return np.array([self.radius, self.radius, self.half_length])
-
-    def lower_bound(self, start: Array, end: Array) -> Array:
-        """Combine least distances (...) [m] across and along the axis, each by itself, for segments (..., 3)."""
-        x, y = start[..., 0], start[..., 1]
-        ux, uy = end[..., 0] - x, end[..., 1] - y
-        t = np.clip(-(x * ux + y * uy) / np.maximum(ux * ux + uy * uy, _LEAST_SLOPE_M**2), 0.0, 1.0)
-        radial = np.maximum(np.hypot(x + t * ux, y + t * uy) - self.radius, 0.0)
-        low, high = np.minimum(start[..., 2], end[..., 2]), np.maximum(start[..., 2], end[..., 2])
-        return np.hypot(radial, np.maximum(np.maximum(low, -high) - self.half_length, 0.0))
 
     def segment_distance(self, start: Array, end: Array) -> Array:
         """Compute distances (t,) [m] of segments with ends (t, 3), at most about 1e-9 m too small; zero inside.
@@ -174,10 +158,6 @@ class Mesh:
     def half(self) -> Array:
         """Half the sizes of the bounding box, shape (3,) [m]."""
         return np.asarray(np.abs(self.vertices).max(axis=0))
-
-    def lower_bound(self, start: Array, end: Array) -> Array:
-        """Compute distances (...) [m] from the bounding box to the bounding boxes of segments with ends (..., 3)."""
-        return distance_of_boxes(self.half, start, end)
 
     def segment_distance(self, start: Array, end: Array) -> Array:
         """Compute distances (t,) [m] of segments with ends (t, 3); zero where they meet the solid, NaN for NaN."""
@@ -353,7 +333,7 @@ class ObstacleBody:
         gaps : array, shape (...)
         """
         a, b = ((points - self.pose[:3, 3]) @ self.pose[:3, :3] for points in (start, end))
-        gaps = np.asarray(self.shape.lower_bound(a, b) - radius)
+        gaps = np.asarray(distance_of_boxes(self.shape.half, a, b) - radius)  # a lower bound of each
         near = ~(gaps > within)  # also where NaN
         if near.any():
             gaps[near] = self.shape.segment_distance(a[near], b[near]) - np.broadcast_to(radius, gaps.shape)[near]

@@ -216,10 +216,12 @@ def _of_arm(
     commands = [refused(target, name, reasons.get(k, ""), count[k]) for k, target in enumerate(group.targets)]
     ranges, usual = group.ranges.get(name, ConditionRanges()), group.conditions(name, rows, at)
     best = chosen.compensated[name].take(rows)
-    sided = sided_commands(arm, goal.position_M[rows], goal.rotation_M[rows], best, usual, home, ranges)
-    found, conditions, q_nominal = sided.found, sided.conditions, chosen.nominal[name]
+    found, conditions, signs, others = sided_commands(
+        arm, goal.position_M[rows], goal.rotation_M[rows], best, usual, home, ranges
+    )
+    q_nominal = chosen.nominal[name]
     tolerances = [group.targets[k].tolerance_mm for k in rows.tolist()]
-    predicted = predictions(arm, found.q, conditions, tolerances, home, ranges, sided.others)
+    predicted = predictions(arm, found.q, conditions, tolerances, home, ranges, others)
     tolerances, wanted = [group.targets[k].orientation_tolerance_mrad for k in rows.tolist()], goal.nominal_rotation_M
     rotations = predicted_rotations(arm, found.q, q_nominal[rows], conditions, wanted[rows], tolerances, home, ranges)
     notes = outside_notes(found.q, conditions, ranges, predicted, arm.bodies.payload_mass)
@@ -237,7 +239,7 @@ def _of_arm(
             residual_um=float(found.residual_m[place]) * 1e6,
             residual_urad=None if np.isnan(rotated) else rotated * 1e6,
             conditions=conditions.take(np.array([place])),
-            approach=sided.approach(place),
+            approach=tuple(map(int, signs[place])) if signs[place].any() else None,
             payload_kg=float(payloads[place]),
             note=notes[place],
             prediction=predicted[place],

@@ -11,7 +11,7 @@ import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
@@ -333,14 +333,11 @@ def plan_path(profile: Profile, model: CellModel, spec: PathSpec, period_s: floa
     path, nominal_path = paths_of(model, spec)
     limits = cell.arms[spec.arm].limits
     branches = follow_branches(arm.geometry, path, limits, homes[spec.arm], profile.seed)
-    if not branches:
-        return PathPlan(spec, "its beginning, at 0 mm, is out of reach", path, nominal_path)
-    if branches[0].failure:
-        return PathPlan(spec, _placed(branches[0].failure, branches[0].failed_m), path, nominal_path)
-    refusals = []
+    refusals = [] if branches else ["its beginning, at 0 mm, is out of reach"]
     drive = _Drive(profile, cell, homes, arm, spec, period_s)
     for branch in branches:
         if branch.failure:
+            refusals.append(_placed(branch.failure, branch.failed_m))
             break
         plan = drive.on_branch(path, branch)
         if not plan.refusal:
@@ -372,26 +369,16 @@ def paths_of(model: CellModel, spec: PathSpec) -> tuple[CartesianPath, Cartesian
 def path_record(model: CellModel, plan: PathPlan) -> PathRecord:
     """Return a planned path as a record of the result."""
     spec, trajectory, joints = plan.spec, plan.trajectory, plan.joints
-    head = PathRecord(
-        name=spec.name,
-        arm=spec.arm,
-        frame=spec.frame,
-        tolerance_mm=spec.tolerance * 1e3,
-        refusal=plan.refusal,
-        length_mm=None if plan.path is None else plan.path.length * 1e3,
-    )
-    if trajectory is None or joints is None:
-        return head
-    rows = np.linspace(0, len(trajectory.q) - 1, _UNCERTAIN_AT).astype(int)
-    uncertainty_mm = float(model.arms[spec.arm].uncertainty(trajectory.q[rows]).max()) * 1e3
-    return head.model_copy(
-        update={
+    driven: dict[str, Any] = {}
+    if trajectory is not None and joints is not None:
+        rows = np.linspace(0, len(trajectory.q) - 1, _UNCERTAIN_AT).astype(int)
+        driven = {
             "duration_s": trajectory.duration_s,
             "period_ms": trajectory.period_s * 1e3,
             "samples": len(trajectory.q),
             "deviation_mm": joints.deviation_m * 1e3,
             "deviation_at_mm": joints.deviation_at_m * 1e3,
-            "uncertainty_mm": uncertainty_mm or None,
+            "uncertainty_mm": float(model.arms[spec.arm].uncertainty(trajectory.q[rows]).max()) * 1e3 or None,
             "at_speed": trajectory.at_speed,
             "slowed": trajectory.slowed,
             "reversals": tuple(
@@ -401,6 +388,14 @@ def path_record(model: CellModel, plan: PathPlan) -> PathRecord:
                 for one in sorted(joints.reversals, key=lambda one: one.at_m)
             ),
         }
+    return PathRecord(
+        name=spec.name,
+        arm=spec.arm,
+        frame=spec.frame,
+        tolerance_mm=spec.tolerance * 1e3,
+        refusal=plan.refusal,
+        length_mm=None if plan.path is None else plan.path.length * 1e3,
+        **driven,
     )
 
 

@@ -17,8 +17,8 @@ from cellapp.cell.targets.ranges import (
     conditions_of,
     conditions_payload,
     from_home,
-    holds_for,
     payload_covariance,
+    signs_words,
     unknown_conditions,
     unknown_records,
 )
@@ -188,19 +188,18 @@ def _judged(spread: Extent, noise: Array, excess: Array, tolerances_mm: Sequence
     Uncertainty and upper bound refer to what a measurement will find, with one covariance. Only the distance that the
     SMR surely exceeds refers to the SMR itself.
     """
-    low, _ = length_bounds(spread.whole + np.multiply.outer(excess, np.eye(3)))
-    _, within = length_bounds(spread.whole + noise)
     parts = {name: _component(value) for name, value in vars(spread).items()}
     parts["noise"], whole = _component(noise), _component(spread.whole + noise)
+    bounds = _bounds(spread.whole + np.multiply.outer(excess, np.eye(3)), spread.whole + noise, tolerances_mm)
     return [
         Prediction(
             uncertainty_mm=float(whole[k]),
             parts=UncertaintyParts(**{name: float(value[k]) for name, value in parts.items()}),
-            within_mm=float(within[k]) * 1e3,
+            within_mm=within,
             unknown=(),
-            verdict=predicted_verdict(float(low[k]) * 1e3, float(within[k]) * 1e3, tolerance),
+            verdict=verdict,
         )
-        for k, tolerance in enumerate(tolerances_mm)
+        for k, (within, verdict) in enumerate(bounds)
     ]
 
 
@@ -249,6 +248,16 @@ def length_bounds(covariance: Array) -> tuple[Array, Array]:
     return np.sqrt(np.where(some, low, 0.0)), np.sqrt(np.where(some, high, 0.0))
 
 
+def _bounds(true: Array, measured: Array, tolerances: Sequence[float | None]) -> list[tuple[float, ToleranceVerdict]]:
+    """Return the bound [mm, mrad] of each measured error, and its verdict, from covariances (n, 3, 3) [m^2, rad^2]: of
+    the true error and of the one that a measurement finds."""
+    low, high = length_bounds(true)[0] * 1e3, length_bounds(measured)[1] * 1e3
+    return [
+        (within, predicted_verdict(surely, within, tolerance))
+        for surely, within, tolerance in zip(low.tolist(), high.tolist(), tolerances, strict=True)
+    ]
+
+
 def predicted_verdict(low_mm: float, high_mm: float, tolerance_mm: float | None) -> ToleranceVerdict:
     """Judge a compensated command before it is driven, by the common decision rule, guarded.
 
@@ -292,9 +301,20 @@ def predicted_rotations(
         true = model + sum((one.covariance for one in unknown), np.zeros_like(model))
         off = _off_mrad(arm, q_nominal[rows], stated, nominal_M[rows])
         measured = _with_noise(true, arm.posterior)
-        found += _rotation_judged(
-            model, true, measured, arm.posterior.noise.rad, off, tolerances_mrad[begin : begin + AT_ONCE]
-        )
+        limits = [None if free is None else limit for free, limit in zip(off, tolerances_mrad[begin : begin + AT_ONCE])]
+        found += [
+            PredictedRotation(
+                nominal_mrad=off[k],
+                uncertainty_mrad=float(whole_mrad),
+                model_mrad=float(model_mrad),
+                noise_mrad=arm.posterior.noise.rad * 1e3,
+                within_mrad=within,
+                verdict=verdict,
+            )
+            for k, (whole_mrad, model_mrad, (within, verdict)) in enumerate(
+                zip(_component(measured), _component(model), _bounds(true, measured, limits), strict=True)
+            )
+        ]
     return found
 
 
@@ -329,30 +349,6 @@ def _with_noise(true: Array, posterior: PosteriorSamples) -> Array:
         return np.asarray(true + posterior.noise.rad**2 * np.eye(3))
     values, vectors = np.linalg.eigh(true)
     return np.asarray(np.einsum("nab,nb,ncb->nac", vectors, values + posterior.noise.axes_rad**2, vectors))
-
-
-def _rotation_judged(
-    model: Array,
-    true: Array,
-    measured: Array,
-    noise_rad: float,
-    off_mrad: Sequence[float | None],
-    tolerances: Sequence[float | None],
-) -> list[PredictedRotation | None]:
-    """Return predictions from covariances (n, 3, 3) [rad^2]: of the model, with unknown conditions, and measured."""
-    low, high = length_bounds(true)[0] * 1e3, length_bounds(measured)[1] * 1e3
-    whole_mrad, model_mrad = _component(measured), _component(model)
-    return [
-        PredictedRotation(
-            nominal_mrad=off,
-            uncertainty_mrad=float(whole_mrad[k]),
-            model_mrad=float(model_mrad[k]),
-            noise_mrad=noise_rad * 1e3,
-            within_mrad=float(high[k]),
-            verdict=predicted_verdict(float(low[k]), float(high[k]), None if off is None else tolerance),
-        )
-        for k, (off, tolerance) in enumerate(zip(off_mrad, tolerances, strict=True))
-    ]
 
 
 # -- Pose of one flange in another's frame: both arms' uncertainties, and the lever of the first one's rotation --------
@@ -400,15 +396,10 @@ def predicted_relative(
     if not len(first.q) or None in (*first.rotations, *second.rotations, *first.positions, *second.positions):
         return [None] * len(first.q)
     model, measured = relative_covariances(first, second)
-    low, high = ([length_bounds(one)[side] * 1e3 for one in its] for side, its in ((0, model), (1, measured)))
+    distances, angles = (_bounds(*its) for its in zip(model, measured, (tolerances_mm, tolerances_mrad), strict=True))
     return [
-        PredictedRelative(
-            within_mm=float(high[0][k]),
-            within_mrad=float(high[1][k]),
-            verdict=predicted_verdict(float(low[0][k]), float(high[0][k]), tolerances_mm[k]),
-            turn_verdict=predicted_verdict(float(low[1][k]), float(high[1][k]), tolerances_mrad[k]),
-        )
-        for k in range(len(first.q))
+        PredictedRelative(within_mm=within_mm, within_mrad=within_mrad, verdict=verdict, turn_verdict=turn_verdict)
+        for (within_mm, verdict), (within_mrad, turn_verdict) in zip(distances, angles, strict=True)
     ]
 
 
@@ -556,12 +547,16 @@ def command_record(command: Command) -> TargetCommand:
 
 def _holds_for(command: Command) -> str:
     """Return what the compensated command is valid for: sides, payload, and conditions that its target states."""
+    parts = ["any side of approach"]
+    if command.approach is not None and any(command.approach):
+        parts = [f"joints that arrive with the signs {signs_words(command.approach)}"]
     stated = conditions_of(command.target, command.arm)
-    words = []
-    if stated.temperature is not None:
-        words.append(f"{stated.temperature:g} degC")
-    if stated.time is not None:
-        words.append(f"{stated.time:g} s after the run began")
-    if stated.dwell is not None:
-        words.append(f"{stated.dwell:g} s at rest")
-    return holds_for(command.approach, payload_kg=command.payload_kg, stated=words)
+    for prefix, value, words in (
+        ("payload ", command.payload_kg, "kg"),
+        ("", stated.temperature, "degC"),
+        ("", stated.time, "s after the run began"),
+        ("", stated.dwell, "s at rest"),
+    ):
+        if value is not None:
+            parts.append(f"{prefix}{value:g} {words}")
+    return "; ".join(parts)

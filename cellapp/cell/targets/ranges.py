@@ -37,9 +37,10 @@ Working conditions of goals for the model: what targets state, and the state of 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -442,66 +443,14 @@ class OneUnknown:
         return replace(self, largest_m=self.largest_m[rows], covariance=self.covariance[rows])
 
 
-@dataclass(frozen=True, eq=False)
-class Sides:
-    """Effect of the joints' sides of approach at n commands that do not state them.
-
-    Attributes
-    ----------
-    effects : tuple of str
-        Slugs of the effects that depend on the sides.
-    vectors : array, shape (n, N, 3)
-        Displacement of the SMR by each joint's positive side from the middle of both sides [m].
-    """
-
-    effects: tuple[str, ...]
-    vectors: Array
-
-    @property
-    def matter(self) -> NDArray[np.bool_]:
-        """Mask (n, N) of joints whose side matters."""
-        return np.asarray(np.linalg.norm(self.vectors, axis=2) >= _MATTERS_M)
-
-    def other_sides(self, signs: Array) -> OneUnknown:
-        """Return the effect of other sides than ``signs`` (n, N), for which the commands were computed.
-
-        This is no uncertainty, because a command states its sides. A command without sides is computed for the middle;
-        then either side is equally likely.
-        """
-        sided = np.any(signs != 0.0, axis=1)
-        taken = 2.0 * signs[:, :, None] * self.vectors  # from the chosen side of a joint to the other one
-        away = np.einsum("sj,njc->nsc", np.array(list(product((0.0, 1.0), repeat=taken.shape[1]))), taken)
-        largest = np.linalg.norm(away, axis=2).max(axis=1)
-        covariance = np.where(sided[:, None, None], 0.0, _second_moment(self.vectors))
-        return OneUnknown("approach", self.effects, np.where(sided, largest, _largest_sum(self.vectors)), covariance)
-
-
 def unknown_conditions(
     arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges: ConditionRanges
 ) -> list[OneUnknown]:
     """Return the conditions, except the approach, that are not stated for some of n commands ``q`` (n, N) [rad] and
     that matter there."""
-    found = [
-        _over_range("payload", arm, q, conditions, _payloads(arm, ranges)),
-        _over_range("temperature", arm, q, conditions, _temperatures(ranges)),
-        _over_range("time", arm, q, conditions, _times(ranges)),
-        _dwell(arm, q, conditions, ranges),
-    ]
+    found = [_over_range(condition, arm, q, conditions, spans) for condition, spans in _spans(arm, ranges).items()]
+    found.append(_dwell(arm, q, conditions, ranges))
     return [one for one in found if one is not None and one.largest_m.max(initial=0.0) >= _MATTERS_M]
-
-
-def approach_sides(arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges: ConditionRanges) -> Sides | None:
-    """Return the effect of sides not stated by n commands ``q`` (n, N) [rad]; None if no effect depends on sides."""
-    terms = _dependent(arm, "approach")
-    if not terms:
-        return None
-    mover = _Mover.of(arm, terms, q, conditions.R_M_S)
-    stated = np.zeros(q.shape) if conditions.approach is None else np.asarray(conditions.approach, dtype=np.float64)
-    vectors = []
-    for joint in range(q.shape[1]):
-        plus, minus = (mover.shift(_driven(conditions, stated, joint, side, ranges)) for side in (1.0, -1.0))
-        vectors.append(np.where(stated[:, joint, None] == 0.0, 0.5 * (plus - minus), 0.0))
-    return Sides(_slugs(terms), np.stack(vectors, axis=1))
 
 
 def unknown_records(found: Sequence[OneUnknown], row: int) -> tuple[UnknownCondition, ...]:
@@ -515,8 +464,8 @@ def unknown_records(found: Sequence[OneUnknown], row: int) -> tuple[UnknownCondi
 
 # -- inside -----------------------------------------------------------------------------------------------------------
 
-_Change = Callable[[MeasurementConditions, float, int], MeasurementConditions]
-"""Function that returns the conditions of n commands with one of them at a relative position (0 to 1) in its range."""
+_Spans = Mapping[str, tuple[float, float] | Array | None]
+"""Field of ``MeasurementConditions`` -> its lowest and highest value; None: unknown."""
 
 _DEPENDENT_ON_CONDITIONS = {
     "approach": frozenset({InputVariable.APPROACH, InputVariable.STEP}),
@@ -543,23 +492,19 @@ def _unstated(conditions: MeasurementConditions, condition: str, n: int) -> NDAr
     return np.ones(n, dtype=bool) if values is None else np.isnan(values)
 
 
-@dataclass(frozen=True, eq=False)
-class _Mover:
-    """Displacements of the SMR by some effects at configurations ``q`` (n, N) [rad]."""
+def _shift_by(
+    arm: ArmModel, terms: tuple[EffectTerm, ...], q: Array, R_M_S: Array | None
+) -> Callable[[MeasurementConditions], Array]:
+    """Return the function conditions -> displacement (n, 3) [m] of the SMR by some effects at ``q`` (n, N) [rad], to
+    first order in the joint offsets."""
+    _, by_joint = joint_jacobian(arm.geometry, JointAngles.of(q, R_M_S))
+    only = replace(arm, effects=terms, network=None, posterior=None)
 
-    arm: ArmModel
-    q: Array
-    by_joint: Array
+    def shift(conditions: MeasurementConditions) -> Array:
+        moved = only.effect_displacement(q, conditions=conditions)
+        return np.asarray(moved.shift_M + np.einsum("cjn,nj->nc", by_joint, moved.joints))
 
-    @classmethod
-    def of(cls, arm: ArmModel, terms: tuple[EffectTerm, ...], q: Array, R_M_S: Array | None) -> _Mover:
-        _, by_joint = joint_jacobian(arm.geometry, JointAngles.of(q, R_M_S))
-        return cls(replace(arm, effects=terms, network=None, posterior=None), q, by_joint)
-
-    def shift(self, conditions: MeasurementConditions) -> Array:
-        """Return the displacement (n, 3) [m] to first order in the joint offsets."""
-        moved = self.arm.effect_displacement(self.q, conditions=conditions)
-        return np.asarray(moved.shift_M + np.einsum("cjn,nj->nc", self.by_joint, moved.joints))
+    return shift
 
 
 def _slugs(terms: Sequence[EffectTerm]) -> tuple[str, ...]:
@@ -580,14 +525,14 @@ def _dwell(arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges: C
     terms = _dependent(arm, "dwell")
     if not terms or ranges.dwell_s is None or ranges.step is None:
         return None
-    mover, n = _Mover.of(arm, terms, q, conditions.R_M_S), len(q)
+    shift, n = _shift_by(arm, terms, q, conditions.R_M_S), len(q)
     rows = _unstated(conditions, "dwell", n)
     each = []
     for joint in range(q.shape[1]):
         driven = _driven(conditions, np.zeros(q.shape), joint, 1.0, ranges)
-        default = mover.shift(driven)
+        default = shift(driven)
         each.append(
-            [mover.shift(replace(driven, dwell_s=np.full(n, place * ranges.dwell_s[1]))) - default for place in _POINTS]
+            [shift(replace(driven, dwell_s=np.full(n, place * ranges.dwell_s[1]))) - default for place in _POINTS]
         )
     moved = np.where(rows[:, None, None], np.array(each).transpose(1, 2, 0, 3), 0.0)
     largest = np.max([_largest_sum(one) for one in moved], axis=0)
@@ -596,57 +541,40 @@ def _dwell(arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges: C
 
 
 def _over_range(
-    condition: str, arm: ArmModel, q: Array, conditions: MeasurementConditions, change: _Change | None
+    condition: str, arm: ArmModel, q: Array, conditions: MeasurementConditions, spans: _Spans
 ) -> OneUnknown | None:
     """Return the effect of a condition that moves the SMR along one curve over its range."""
     terms = _dependent(arm, condition)
-    if not terms or change is None:
+    if not terms:
         return None
-    mover, n = _Mover.of(arm, terms, q, conditions.R_M_S), len(q)
-    default = mover.shift(conditions)
-    moved = np.array([mover.shift(change(conditions, place, n)) - default for place in _POINTS.tolist()])
+    shift, n = _shift_by(arm, terms, q, conditions.R_M_S), len(q)
+
+    def at(place: float) -> MeasurementConditions:
+        values: dict[str, Any] = {
+            key: None if span is None else np.full((n, *np.shape(span)[1:]), span[0] + place * (span[1] - span[0]))
+            for key, span in spans.items()
+        }
+        return replace(conditions, **values)
+
+    default = shift(conditions)
+    moved = np.array([shift(at(place)) - default for place in _POINTS.tolist()])
     moved = np.where(_unstated(conditions, condition, n)[:, None], moved, 0.0)
     largest = np.linalg.norm(moved, axis=2).max(axis=0)
     covariance = np.einsum("pna,pnb->nab", moved, moved) / len(moved)
     return OneUnknown(condition, _slugs(terms), largest, covariance)
 
 
-def _payloads(arm: ArmModel, ranges: ConditionRanges) -> _Change | None:
-    nominal = arm.bodies.payload_mass
-    low, high = ranges.payload_kg or (nominal, nominal)
-    low, high = min(low, nominal), max(high, nominal)
-    if low == high:
-        return None
-    return lambda conditions, place, n: replace(conditions, payload_kg=np.full(n, low + place * (high - low)))
-
-
-def _temperatures(ranges: ConditionRanges) -> _Change | None:
-    if ranges.air_c is None and ranges.joints_c is None:
-        return None
-
-    def change(conditions: MeasurementConditions, place: float, n: int) -> MeasurementConditions:
-        joints_c = ranges.joints_c
-        low, high = ranges.air_c or (0.0, 0.0)
-        return replace(
-            conditions,
-            air_c=None if ranges.air_c is None else np.full(n, low + place * (high - low)),
-            joints_c=None if joints_c is None else np.tile(joints_c[0] + place * (joints_c[1] - joints_c[0]), (n, 1)),
-        )
-
-    return change
-
-
-def _times(ranges: ConditionRanges) -> _Change | None:
-    if ranges.time_s is None and ranges.stops < 2:
-        return None
-
-    def change(conditions: MeasurementConditions, place: float, n: int) -> MeasurementConditions:
-        low, high = ranges.time_s or (np.nan, np.nan)
-        return replace(
-            conditions, time_s=np.full(n, low + place * (high - low)), order=np.full(n, place * (ranges.stops - 1))
-        )
-
-    return change
+def _spans(arm: ArmModel, ranges: ConditionRanges) -> dict[str, _Spans]:
+    """Return the plausible range of each condition that has one: what the run covered, and the usual payload."""
+    found, usual_kg = dict[str, _Spans](), arm.bodies.payload_mass
+    low, high = ranges.payload_kg or (usual_kg, usual_kg)
+    if low != usual_kg or high != usual_kg:
+        found["payload"] = {"payload_kg": (min(low, usual_kg), max(high, usual_kg))}
+    if ranges.air_c is not None or ranges.joints_c is not None:
+        found["temperature"] = {"air_c": ranges.air_c, "joints_c": ranges.joints_c}
+    if ranges.time_s is not None or ranges.stops > 1:
+        found["time"] = {"time_s": ranges.time_s or (np.nan, np.nan), "order": (0.0, ranges.stops - 1.0)}
+    return found
 
 
 def _largest_sum(vectors: Array) -> Array:
@@ -667,32 +595,6 @@ def _second_moment(vectors: Array) -> Array:
 # command is written, so that an operator can drive accordingly.
 
 
-@dataclass(frozen=True, eq=False)
-class SidedCommands:
-    """Commands of n targets, each for a side of approach.
-
-    Attributes
-    ----------
-    found : Inverted
-    conditions : MeasurementConditions
-        Conditions that the commands are for: as stated by the targets, and the sides.
-    signs : array, shape (n, N), int
-        Sign of each joint's last motion, as stated or as on the way from home; 0 if it does not matter.
-    others : OneUnknown or None
-        Effect of other sides; None if no effect depends on them.
-    """
-
-    found: Inverted
-    conditions: MeasurementConditions
-    signs: Array
-    others: OneUnknown | None
-
-    def approach(self, row: int) -> tuple[int, ...] | None:
-        """Return the signs of one command; None if any side will do."""
-        signs = tuple(int(sign) for sign in self.signs[row])
-        return signs if any(signs) else None
-
-
 def sided_commands(
     arm: ArmModel,
     position_M: Array,
@@ -701,22 +603,32 @@ def sided_commands(
     conditions: MeasurementConditions,
     home: Array,
     ranges: ConditionRanges,
-) -> SidedCommands:
+) -> tuple[Inverted, MeasurementConditions, Array, OneUnknown | None]:
     """Invert the model again for the sides of arrival, starting from n commands ``found`` for the middle of both sides.
 
     ``position_M`` (n, 3) and ``rotation_M`` (n, 3, 3) are as in ``invert``; the way begins at ``home`` (N,) [rad].
+
+    Returns
+    -------
+    found : Inverted
+        Commands for the sides.
+    conditions : MeasurementConditions
+        Conditions that these are for: as stated by the targets, and the sides.
+    signs : array, shape (n, N)
+        Sign of each joint's last motion, as stated or as on the way from home; 0 if it does not matter.
+    others : OneUnknown or None
+        Effect of other sides; None if no effect depends on them.
     """
-    q = found.q
+    q, terms = found.q, _dependent(arm, "approach")
     stated = np.zeros(q.shape) if conditions.approach is None else np.asarray(conditions.approach, dtype=np.float64)
-    sides = approach_sides(arm, q, conditions, ranges) if len(q) else None
-    if sides is None:
-        return SidedCommands(found, conditions, stated, None)
-    step = q - home
-    offered = np.where(step < 0.0, -1.0, 1.0) * sides.matter
+    if not terms or not len(q):
+        return found, conditions, stated, None
+    vectors, step = _side_vectors(arm, terms, q, conditions, stated, ranges), q - home
+    offered = np.where(step < 0.0, -1.0, 1.0) * (np.linalg.norm(vectors, axis=2) >= _MATTERS_M)
     signs = np.where(stated != 0.0, stated, offered)
     rows = np.flatnonzero(offered.any(axis=1))
     if not len(rows):
-        return SidedCommands(found, conditions, signs, sides.other_sides(signs))
+        return found, conditions, signs, _other_sides(terms, vectors, signs)
     usual = np.full(q.shape[1], np.nan) if ranges.step is None else ranges.step
     sizes = np.where(stated != 0.0, usual, np.abs(step))
     made = replace(conditions, approach=signs, step=sizes * signs)
@@ -727,17 +639,41 @@ def sided_commands(
     signs[lost] = stated[lost]
     if len(lost):
         made = replace(made, approach=signs, step=np.where(signs == 0.0, np.nan, sizes * signs))
-    return SidedCommands(kept, made, signs, sides.other_sides(signs))
+    return kept, made, signs, _other_sides(terms, vectors, signs)
 
 
-def holds_for(command_signs: Sequence[int] | None, *, payload_kg: float | None, stated: Sequence[str]) -> str:
-    """Describe what a row of a command is valid for: sides of the last motions, payload, what the target states."""
-    parts = ["any side of approach"]
-    if command_signs is not None and any(command_signs):
-        parts = [f"joints that arrive with the signs {signs_words(command_signs)}"]
-    if payload_kg is not None:
-        parts.append(f"payload {payload_kg:g} kg")
-    return "; ".join([*parts, *stated])
+def _side_vectors(
+    arm: ArmModel,
+    terms: tuple[EffectTerm, ...],
+    q: Array,
+    conditions: MeasurementConditions,
+    stated: Array,
+    ranges: ConditionRanges,
+) -> Array:
+    """Return the displacement (n, N, 3) [m] of the SMR by each joint's positive side from the middle of both sides.
+
+    It is zero for the sides ``stated`` (n, N).
+    """
+    shift = _shift_by(arm, terms, q, conditions.R_M_S)
+    vectors = []
+    for joint in range(q.shape[1]):
+        plus, minus = (shift(_driven(conditions, stated, joint, side, ranges)) for side in (1.0, -1.0))
+        vectors.append(np.where(stated[:, joint, None] == 0.0, 0.5 * (plus - minus), 0.0))
+    return np.stack(vectors, axis=1)
+
+
+def _other_sides(terms: Sequence[EffectTerm], vectors: Array, signs: Array) -> OneUnknown:
+    """Return the effect of other sides than ``signs`` (n, N), for which the commands were computed.
+
+    ``vectors`` are ``_side_vectors``. This is no uncertainty, because a command states its sides. A command without
+    sides is computed for the middle; then either side is equally likely.
+    """
+    sided = np.any(signs != 0.0, axis=1)
+    taken = 2.0 * signs[:, :, None] * vectors  # from the chosen side of a joint to the other one
+    away = np.einsum("sj,njc->nsc", np.array(list(product((0.0, 1.0), repeat=taken.shape[1]))), taken)
+    largest = np.linalg.norm(away, axis=2).max(axis=1)
+    covariance = np.where(sided[:, None, None], 0.0, _second_moment(vectors))
+    return OneUnknown("approach", _slugs(terms), np.where(sided, largest, _largest_sum(vectors)), covariance)
 
 
 def signs_words(signs: Sequence[int]) -> str:

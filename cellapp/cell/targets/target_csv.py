@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Any
 
 from cellapp.cell.profile.messages import KeyPath, Spot, YamlDocument
-from cellapp.cell.run.csv_text import COMMENTS, CsvTable, Problems, check_names, read_csv_table, unquoted_text
+from cellapp.cell.run.csv_text import COMMENTS, CsvTable, Problems, read_csv_table, unquoted_text
 from cellapp.ground.counting import did_you_mean
 
 
@@ -131,9 +131,8 @@ def _spot(table: CsvTable, line: int, *inside: str | int) -> Spot:
 
 def _columns(table: CsvTable, problems: Problems) -> list[_Column]:
     """Return the columns, components of vectors in order; report names that are unknown, duplicate or missing."""
-    check_names(table, problems)
     columns: list[_Column] = []
-    for name in filter(None, dict.fromkeys(table.names)):
+    for name in table.names:
         if match := _PER_JOINT.fullmatch(name):
             columns.append(_Column(name, ("approach", int(match.group(1)) - 1)))
         elif name in _WORDS:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-import gc
 import hashlib
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar
 
@@ -315,14 +314,6 @@ class TargetList(Section):
         return [_with_sections(keys, frames, conditions) if isinstance(keys, dict) else keys for keys in targets]
 
 
-@dataclass(frozen=True)
-class TargetProblem:
-    """Why a target does not fit the cell or the other targets: the wrong key, and what is wrong with it."""
-
-    key: str
-    text: str
-
-
 _MOST_SHOWN = 5
 """Problems in one message; the others are only counted."""
 _HEAD = 64 * 1024
@@ -338,8 +329,7 @@ def load_targets(path: Path, profile: Profile) -> tuple[Target, ...]:
         With file, line and target of the first problems.
     """
     joints = {name: len(arm.type.joints) for name, arm in profile.arms.items()}
-    with _collector_paused():
-        return targets_of(_document(Path(path), joints), profile)
+    return targets_of(_document(Path(path), joints), profile)
 
 
 def named_targets(profile: Profile, path: Path) -> tuple[Target, ...]:
@@ -354,7 +344,7 @@ def targets_of(document: YamlDocument, profile: Profile) -> tuple[Target, ...]:
         listed = TargetList.model_validate(document.data)
     except ValidationError as error:
         raise InputError(validation_message(error, _by_name(document))) from None
-    if misfits := [*_section_problems(listed, profile), *_target_problems(listed, profile)]:
+    if misfits := [*_misfits(listed, profile)]:
         places = _by_name(document).places
         lines = [f"{places.get(at) or places[at[:2]]}: {text}" for at, text in misfits[:_MOST_SHOWN]]
         more = [f"and {len(misfits) - _MOST_SHOWN} more"] if len(misfits) > _MOST_SHOWN else []
@@ -382,20 +372,20 @@ def _by_name(document: YamlDocument) -> YamlDocument:
 
 def list_problems(
     targets: Sequence[Target], profile: Profile, frames: Iterable[str] = ()
-) -> Iterator[tuple[int, TargetProblem]]:
-    """Yield index and problem of each target that does not fit the cell or the targets before it."""
+) -> Iterator[tuple[int, str, str]]:
+    """Yield the index of each target that does not fit the cell or the targets before it, the wrong key, and why."""
     known: dict[str, WorkFrame] = {}
     names: set[str] = set()
     work_frames = dict.fromkeys([*frames, *(t.work_frame.name for t in targets if t.work_frame is not None)])
     for index, target in enumerate(targets):
         frame = target.work_frame
         if problem := _misfit(target, profile, work_frames):
-            yield index, problem
+            yield index, *problem
         elif target.name in names:
-            yield index, TargetProblem("name", "listed twice; give every target its own name")
-        elif frame is not None and not _same(known.setdefault(frame.name, frame), frame):
+            yield index, "name", "listed twice; give every target its own name"
+        elif frame is not None and known.setdefault(frame.name, frame) != frame:
             text = f"another target has a frame '{frame.name}' with other points; give one of them another name"
-            yield index, TargetProblem("frame", text)
+            yield index, "frame", text
         names.add(target.name)
 
 
@@ -432,18 +422,6 @@ def definition(target: Target) -> str:
     if target.partner is not None and not target.holds_first:
         later["partner"] = {"moves": True}
     return hashlib.sha256(target.model_dump_json(exclude=later).encode()).hexdigest()[:_DIGEST]
-
-
-@contextlib.contextmanager
-def _collector_paused() -> Iterator[None]:
-    """Pause the cyclic garbage collector, which would take most of the time for a long list."""
-    enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if enabled:
-            gc.enable()
 
 
 # -- what is written --------------------------------------------------------------------------------------------------
@@ -492,60 +470,53 @@ def _conditions(keys: Mapping[str, Any], usual: Mapping[str, WorkingConditions])
 # -- what does not fit ------------------------------------------------------------------------------------------------
 
 
-def _section_problems(listed: TargetList, profile: Profile) -> Iterator[tuple[KeyPath, str]]:
+def _misfits(listed: TargetList, profile: Profile) -> Iterator[tuple[KeyPath, str]]:
     for name, frame in listed.frames.items():
         if problem := frame_problem(frame, profile):
             yield ("frames", name), problem
     for name in listed.conditions:
         if name not in profile.arms:
             yield ("conditions", name), f"no such arm; arms are {', '.join(profile.arms)}"
+    for index, key, text in list_problems(listed.targets, profile, listed.frames):
+        yield ("targets", index, key), text
 
 
-def _target_problems(listed: TargetList, profile: Profile) -> Iterator[tuple[KeyPath, str]]:
-    for index, problem in list_problems(listed.targets, profile, listed.frames):
-        yield ("targets", index, problem.key), problem.text
-
-
-def _misfit(target: Target, profile: Profile, frames: Iterable[str]) -> TargetProblem | None:
-    """Return why a target does not fit the cell; None if it does."""
+def _misfit(target: Target, profile: Profile, frames: Iterable[str]) -> tuple[str, str] | None:
+    """Return the wrong key of a target and why it does not fit the cell; None if it does."""
     if target.arm not in profile.arms:
-        return TargetProblem("arm", f"no arm '{short(target.arm)}'; arms are {', '.join(profile.arms)}")
+        return "arm", f"no arm '{short(target.arm)}'; arms are {', '.join(profile.arms)}"
     frame, known = target.work_frame, frame_names(profile)
     if frame is None and target.frame not in known:
         names = ", ".join([*known, *frames])
-        return TargetProblem(
+        return (
             "frame",
             f"no frame '{short(target.frame)}'; frames are {names}; a YAML list, whose targets: may name a CSV file,"
             " gives others under frames:",
         )
     if frame is not None and (frame.name != target.frame or frame_problem(frame, profile)):
-        return TargetProblem("frame", frame_problem(frame, profile) or "its work frame has another name")
+        return "frame", frame_problem(frame, profile) or "its work frame has another name"
     far = max(abs(value) for value in target.position)
     if target.frame in known and target.frame != _TRACKER and far > _FARTHEST_M:
-        return TargetProblem("position", f"{far:g} m is farther from the base than any arm reaches; is it {far:g} mm?")
+        return "position", f"{far:g} m is farther from the base than any arm reaches; is it {far:g} mm?"
     joints = len(profile.arms[target.arm].type.joints)
     if target.approach is not None and len(target.approach) != joints:
         text = f"expected {joints} signs, one for each joint of arm {target.arm}, got {len(target.approach)}"
-        return TargetProblem("approach", text)
+        return "approach", text
     if target.orientation_tolerance is not None and target.rpy is None:
-        return TargetProblem("orientation_tolerance", "give the target a rotation; where any will do none is off")
+        return "orientation_tolerance", "give the target a rotation; where any will do none is off"
     return None if target.partner is None else _partner_misfit(target, target.partner, profile)
 
 
-def _partner_misfit(target: Target, partner: Partner, profile: Profile) -> TargetProblem | None:
+def _partner_misfit(target: Target, partner: Partner, profile: Profile) -> tuple[str, str] | None:
     others = ", ".join(name for name in profile.arms if name != target.arm) or "none: this cell has one arm"
     if partner.arm not in profile.arms:
-        return TargetProblem("partner", f"no arm '{short(partner.arm)}'; the others are {others}")
+        return "partner", f"no arm '{short(partner.arm)}'; the others are {others}"
     if partner.arm == target.arm:
-        return TargetProblem("partner", f"arm {partner.arm} cannot be its own partner; the others are {others}")
+        return "partner", f"arm {partner.arm} cannot be its own partner; the others are {others}"
     if target.rpy is None:
         text = "a partner's place is given in the axes of the first arm's flange; give the target a rotation"
-        return TargetProblem("rpy", text)
+        return "rpy", text
     return None
-
-
-def _same(first: WorkFrame, second: WorkFrame) -> bool:
-    return first is second or first == second
 
 
 # -- Check that points determine a work frame; arrays only ------------------------------------------------------------

@@ -50,7 +50,7 @@ def calibrate_run(
     profile = run.profile
     if network is not None:
         profile = profile.model_copy(update={"network": profile.network.model_copy(update={"kind": network})})
-    notes = (*stored_tie_sentences(run.read_result(STATIONS_RESULT)), *sample_missing_splits(run))
+    notes = (*stored_tie_sentences(run.read_document(STATIONS_RESULT)), *sample_missing_splits(run))
     readings = {name: run.readings(name) for name in run.profile.arms}
     recordings = {name: read_recordings_of(run, name) for name in run.profile.arms}
     if prior is not None and any(recordings.values()):

@@ -11,7 +11,6 @@ from importlib import resources
 from cellapp.commands.docs.keys import filled_keys
 from cellapp.ground.counting import did_you_mean
 from cellapp.ground.errors import InputError
-from cellapp.ground.removed import removed_command
 
 PARTS: Mapping[str, Mapping[str, str]] = {
     "begin here": {
@@ -78,8 +77,7 @@ def topic_text(topic: str) -> str:
         meant = did_you_mean(topic, topics(), "did you mean '{}'? Topics", otherwise="topics")
         where = ", ".join(one.section.address for one in search(topic)[:3])
         where = f"; sections with this word: {where}" if where else ""
-        said = f"docs: '{topic}' is not a topic; {meant} are {', '.join(topics())}{where}"
-        raise InputError(removed_command(f"docs {topic}") or said)
+        raise InputError(f"docs: '{topic}' is not a topic; {meant} are {', '.join(topics())}{where}")
     return filled_keys(_FOR_TESTS.sub(r"\1", _MARKER.sub("", kept)))
 
 

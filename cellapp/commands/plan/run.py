@@ -107,7 +107,7 @@ def new_planned_run(
             stops = plan_run(run, job)
             if sweeps is not None:
                 planned = plan_sweeps(profile, stops, job)
-                run.write_result(SWEEPS_RESULT, planned.model_dump_json())
+                run.write_document(SWEEPS_RESULT, planned.model_dump_json())
                 for note in planned.notes:
                     run.log("note", note)
 

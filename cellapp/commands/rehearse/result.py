@@ -89,7 +89,7 @@ def keep_log(run: RunFile) -> str:
     except InputError as error:
         return str(error) if run.profile.moves_hardware else ""
     if log is not None and log.rungs:
-        run.write_result(_STORED, log.to_json())
+        run.write_document(_STORED, log.to_json())
     missing = tuple(RUNGS) if log is None else missing_rungs(log)
     if not missing or not run.profile.moves_hardware:
         return ""
@@ -98,5 +98,5 @@ def keep_log(run: RunFile) -> str:
 
 def kept_log(run: RunFile) -> RehearsalLog | None:
     """Return the record of rungs from when the run was collected; None without one."""
-    text = run.read_result(_STORED)
+    text = run.read_document(_STORED)
     return None if text is None else RehearsalLog.from_json(text, "the run's rehearsals")

@@ -242,7 +242,7 @@ def detectability_at(where: Path, trials: int, seed: int, work: PoolWork, limit:
     with RunFile.open(where, write=True) as run:
         required_plan(run)
         result = plan_detects(PlannedCell.of(run.profile, read_planned_stops(run)), trials, seed, work, limit)
-        run.write_result(DETECTABILITY_RESULT, result.to_json())
+        run.write_document(DETECTABILITY_RESULT, result.to_json())
         return result
 
 
@@ -500,7 +500,7 @@ class DetectabilityResult(Result, schema="cellapp-plan-power"):
 
 def stored_detectability(run: RunFile) -> DetectabilityResult | None:
     """Return the stored result of a run; None if its plan was not tried."""
-    text = run.read_result(DETECTABILITY_RESULT)
+    text = run.read_document(DETECTABILITY_RESULT)
     return None if text is None else DetectabilityResult.from_json(text, str(run.folder))
 
 

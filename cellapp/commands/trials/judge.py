@@ -205,7 +205,7 @@ def judge_run(folder: Path, source: str) -> None:
             source=source,
             arms=arms,
         )
-        run.write_result(TRIAL_RESULT, stored.model_dump_json(by_alias=True))
+        run.write_document(TRIAL_RESULT, stored.model_dump_json(by_alias=True))
 
 
 def source_digest() -> str:
@@ -225,7 +225,7 @@ def source_digest() -> str:
 def _stored(folder: Path) -> StoredTrial | None:
     """Read the findings in a run; None if there are none, or of a version that this one cannot read."""
     with RunFile.open(folder) as run:
-        text = run.read_result(TRIAL_RESULT)
+        text = run.read_document(TRIAL_RESULT)
     try:
         return None if text is None else StoredTrial.model_validate_json(text)
     except ValidationError:

@@ -19,8 +19,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cellapp.cell.profile import load_profile, profile_from_dict
+from cellapp.cell.run.csv_export import table_of_arrays
 from cellapp.cell.run.csv_import import readings_of_table
-from cellapp.cell.run.csv_text import CsvTable, is_frame, read_csv_table, table_of_arrays, table_of_frame
+from cellapp.cell.run.csv_text import CsvTable, is_frame, read_csv_table, table_of_frame
 from cellapp.cell.run.stations import require_ties
 from cellapp.cell.targets.ranges import beside
 from cellapp.cell.targets.records import CompensateResult, TargetCommand

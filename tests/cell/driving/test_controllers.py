@@ -129,7 +129,7 @@ def test_an_arm_of_seven_joints_is_no_ur(real: Profile) -> None:
 
 
 def test_a_damaged_record_is_named(run: RunFile, cell: Cell) -> None:
-    run.write_result(CONTROLLERS_RESULT, '{"left": {"model": 1}}')
+    run.write_document(CONTROLLERS_RESULT, '{"left": {"model": 1}}')
     with pytest.raises(InputError, match=r"the document .controllers. is damaged; start a new run"):
         check_controllers(run, cell)
 

@@ -61,7 +61,7 @@ def planned(tmp_path_factory: pytest.TempPathFactory) -> Path:
             )
             for one in sweeps
         )
-        run.write_result(SWEEPS_RESULT, PlannedSweeps(sweeps=short).model_dump_json())
+        run.write_document(SWEEPS_RESULT, PlannedSweeps(sweeps=short).model_dump_json())
     return folder
 
 
@@ -76,7 +76,7 @@ def swinging(planned: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         beside = Swing.of("right", right.motion(np.zeros(6)).scaled(0.5))
         pair = left.model_copy(update={"beside": beside})
         assert refuse_sweep(cell_bodies(run.profile), pair.motions(at := read_planned_stops(run).targets(0)), at) == ""
-        run.write_result(SWEEPS_RESULT, PlannedSweeps(sweeps=(pair,)).model_dump_json())
+        run.write_document(SWEEPS_RESULT, PlannedSweeps(sweeps=(pair,)).model_dump_json())
     return folder
 
 

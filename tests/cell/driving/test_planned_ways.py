@@ -217,7 +217,7 @@ def test_nothing_moves_that_the_gate_refuses(
     with RunFile.create(tmp_path / "run", small_twin(3)) as run:
         run.write_plan(few)
         conditions = {1: {"left": {"via": into_the_floor.tolist()}}, 2: {"right": {"via": beyond.tolist()}}}
-        run.write_result(STOP_CONDITIONS_RESULT, json.dumps(conditions))
+        run.write_document(STOP_CONDITIONS_RESULT, json.dumps(conditions))
         notes = collect_run(run).notes
         assert run.stops_done() == {0}
         assert [note[:34] for note in notes[:2]] == [

@@ -159,6 +159,6 @@ def test_a_person_stops_before_a_sweep(planned: Path, tmp_path: Path, monkeypatc
 
 def test_damaged_sweeps_are_named(planned: Path, tmp_path: Path) -> None:
     with copied(planned, tmp_path) as run:
-        run.write_result(SWEEPS_RESULT, "{")
+        run.write_document(SWEEPS_RESULT, "{")
         with pytest.raises(InputError, match="is damaged"):
             read_sweeps(run)

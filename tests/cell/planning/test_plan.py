@@ -222,7 +222,7 @@ def test_an_old_run_has_straight_ways_and_its_listed_stops_are_proposed(tmp_path
         run.write_plan(q)
         same_stops(read_planned_stops(run), straight_stops(q))
         conditions = {"3": {"left": {"via": (q["left"][3] - 0.1).tolist(), "dwell_s": 2.0}}}
-        run.write_result(STOP_CONDITIONS_RESULT, json.dumps(conditions))
+        run.write_document(STOP_CONDITIONS_RESULT, json.dumps(conditions))
         stops = read_planned_stops(run)
     assert stops.proposed.tolist() == [False, False, False, True]
     np.testing.assert_array_equal(stops.approach_starts(3)["left"], q["left"][3] - 0.1)
@@ -236,7 +236,7 @@ def test_damaged_documents_are_named_as_approved(tmp_path: Path) -> None:
         run.write_plan(some_stops(3).q)
 
         def refused(text: str) -> str:
-            run.write_result(PLANNED_STOPS_RESULT, text)
+            run.write_document(PLANNED_STOPS_RESULT, text)
             with pytest.raises(InputError) as caught:
                 read_planned_stops(run)
             return re.sub(r": [A-Z].*?\)", ": ...)", str(caught.value))  # in words of the parser
@@ -249,11 +249,11 @@ def test_a_plan_is_stored_with_all_documents_or_not_at_all(tmp_path: Path) -> No
     with RunFile.create(tmp_path / "run", small_twin(4)) as run:
         write_planned_stops(run, stops)
         run.write_plan(stops.q)
-        before = run.read_result(PLANNED_STOPS_RESULT), run.read_result(STOP_CONDITIONS_RESULT)
+        before = run.read_document(PLANNED_STOPS_RESULT), run.read_document(STOP_CONDITIONS_RESULT)
         wrong = replace(stops, q={name: q[:2] for name, q in stops.q.items()} | {"left": stops.q["left"][:1]})
         with pytest.raises(ValueError, match="different numbers"):
             write_planned_stops(run, wrong)
-        assert (run.read_result(PLANNED_STOPS_RESULT), run.read_result(STOP_CONDITIONS_RESULT)) == before
+        assert (run.read_document(PLANNED_STOPS_RESULT), run.read_document(STOP_CONDITIONS_RESULT)) == before
 
 
 def test_proposed_stops_follow_designed_ones_and_replace_earlier_proposals(tmp_path: Path) -> None:

@@ -77,12 +77,12 @@ def test_reading_does_not_change_the_file(profile: Profile, folder: Path) -> Non
         assert run.readings("right").approach.shape == (0, 3)
         assert run.read_plan() == {}
         assert run.events() == []
-        assert run.read_result("calibration") is None
+        assert run.read_document("calibration") is None
         for write in (
             lambda: run.add_stop(0, {"left": reading(0)}),
             lambda: run.log("info", "no"),
             lambda: run.write_plan({"left": np.zeros((1, 2))}),
-            lambda: run.write_result("a", "b"),
+            lambda: run.write_document("a", "b"),
             lambda: run.assign_splits("left", []),
         ):
             with pytest.raises(InputError, match="open for reading only"):
@@ -162,12 +162,12 @@ def test_a_full_disk_is_a_sentence_and_costs_only_that_stop(profile: Profile, fo
         run.add_stop(0, {"left": reading(0)})
         run._connection.execute("PRAGMA max_page_count=1").fetchall()  # as many as there are
         with pytest.raises(InputError, match="full; check that the disk"):
-            run.write_result("big", "x" * 100_000)
+            run.write_document("big", "x" * 100_000)
         run._connection.execute("PRAGMA max_page_count=1000000").fetchall()
         run.add_stop(1, {"left": reading(1)})
     with RunFile.open(folder) as run:
         assert run.stops_done() == {0, 1}
-        assert run.read_result("big") is None
+        assert run.read_document("big") is None
 
 
 # -- folders that hold something else ---------------------------------------------------------------------------------
@@ -385,7 +385,7 @@ def test_a_person_settles_it_once(run: RunFile) -> None:
 
 
 def test_a_damaged_record_makes_no_arm_safe(run: RunFile) -> None:
-    run.write_result("not seen at rest: left", "{}")
+    run.write_document("not seen at rest: left", "{}")
     assert "left" in unseen_arms(run)
 
 

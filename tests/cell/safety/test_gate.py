@@ -27,7 +27,6 @@ from cellapp.cell.safety.gate import (
     predicted_smr,
     refuse_motion,
     refuse_stop,
-    remembered,
     visible,
     visible_stops,
 )
@@ -110,22 +109,13 @@ def test_the_clearance_is_kept_between_samples_too() -> None:
 
 
 @pytest.mark.parametrize("start", [-1.0, 0.3, 0.9])
-def test_a_motion_is_checked_to_its_very_end_and_a_gate_that_remembers_says_the_same(start: float) -> None:
+def test_a_motion_is_checked_to_its_very_end(start: float) -> None:
     """A bar turns head on towards a post on the circle of its tip, up to a gap from it; 0.1 m is asked."""
     for gap, free in ((0.099, False), (0.16, True)):
         angle = 1.0 + 2.0 * math.asin((gap + 0.05 + 0.05) / 2.0)
         cell = turning(post(math.cos(angle), math.sin(angle)))
         said = refuse_motion(cell, at(a=start), at(a=1.0))
         assert (said == "") is free, said
-        asked: list[CellBodies] = []
-
-        def counted(*ends: Any, asked: list[CellBodies] = asked) -> str:
-            asked.append(ends[0])
-            return refuse_motion(*ends)
-
-        gate = remembered(counted)
-        assert [gate(cell, at(a=start), at(a=1.0)) for _ in range(2)] == [said, said]
-        assert len(asked) == 1
 
 
 def test_arms_at_once_may_be_apart_by_what_the_slower_one_runs_until_all_are_stopped(turnstiles: CellBodies) -> None:

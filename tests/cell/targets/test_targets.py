@@ -47,7 +47,7 @@ def test_what_is_refused(path: Path) -> None:
         with pytest.raises(InputError) as told:
             load_targets(path, PROFILE)
         message = str(told.value).replace(f"{path.parent}/", "")
-        return re.sub(r"not YAML: .*", "not YAML: ...", message)  # in words of the parser, of which there are two
+        return re.sub(r"not YAML: .*", "not YAML: ...", message)  # in words of the parser
 
     assert_refused(Path(__file__).parent / "approved" / "refused-files.txt", refused)
 

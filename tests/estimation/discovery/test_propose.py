@@ -181,7 +181,7 @@ def test_a_run_that_is_not_driven_gets_the_list_only(tied: Tied, tmp_path: Path)
             assert any(says in note for note in proposal.notes)
             assert any("listed only" in note for note in proposal.notes)
             assert other.read_plan() == {}
-            assert other.read_result(STOP_CONDITIONS_RESULT) is None
+            assert other.read_document(STOP_CONDITIONS_RESULT) is None
             assert not proposal.written
 
 

@@ -312,5 +312,5 @@ def test_another_arm_is_refused(copies: dict[str, Path], tmp_path: Path) -> None
     for name, serial in (("first", "2017300001"), ("second", "2019300002")):
         identity = {"model": "UR10", "serial": serial, "software": "3.15", "dh_checksum": "1"}
         with RunFile.open(copies[name], write=True) as run:
-            run.write_result(CONTROLLERS_RESULT, json.dumps({"left": identity}))
+            run.write_document(CONTROLLERS_RESULT, json.dumps({"left": identity}))
     assert "serial number 2017300001 there, 2019300002 here" in refused(copies["second"], copies["first"])

@@ -356,6 +356,6 @@ def test_a_plan_is_shown_with_its_design_which_stays_with_it(tmp_path: Path) -> 
         assert read_plan_design(run) == plan_design(12)
     with RunFile.create(tmp_path / "imported", small_twin()) as run:
         assert plan_section(run) is None
-        run.write_result(PLAN_DESIGN_RESULT, '{"schema": "cellapp-plan-design"}')
+        run.write_document(PLAN_DESIGN_RESULT, '{"schema": "cellapp-plan-design"}')
         with pytest.raises(InputError, match="plan_design"):
             read_plan_design(run)

@@ -156,6 +156,7 @@ READINGS: dict[str, Any] = {
     "no joint": frame(q6=None),
     "NaN in a frame": frame(y_m=rows((7, None))),
     "arm in a frame": frame(arm=rows((3, "middle"), of="left")),
+    "column twice": frame()[[*frame().columns, "q1"]],
     "empty frame": frame().iloc[:0],
 }
 CONFIGURATIONS: dict[str, Any] = {

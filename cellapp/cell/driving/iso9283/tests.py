@@ -41,7 +41,7 @@ from cellapp.cell.driving.sweeping import INTERVAL_S, PathDriver
 from cellapp.cell.driving.target_visit import Driver
 from cellapp.cell.planning.planned_stops import tell_time, visits_s
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
-from cellapp.cell.safety.gate import CellBodies, remembered
+from cellapp.cell.safety.gate import CellBodies
 from cellapp.cell.targets.path import RUN_UP_RAD, PathPlan, PathPose, PathSpec, plan_path
 from cellapp.estimation.discovery.plan_forecast import tracker_covariance
 from cellapp.estimation.iso9283.characteristics import LARGE_CIRCLE, POSES, SMALL_CIRCLE, circle_positions
@@ -348,7 +348,6 @@ def drive_tests(
     control = control or JobControl()
     profile, homes = task.profile, home_positions(task.profile)
     with attended_cell(profile, control) as (cell, reaction):
-        cell = replace(cell, gate=remembered(cell.gate))
         opened(cell)
         cell.require_tracker()
         model = task.model or published_cell(profile, {})

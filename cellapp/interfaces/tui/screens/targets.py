@@ -74,11 +74,9 @@ def why_not(workspace: Workspace, state: RunState, targets: Sequence[Target]) ->
 
 def _unfit(targets: Sequence[Target], profile: Profile) -> str:
     """Return the problem of the first target that does not fit the cell of the run; empty if there is none."""
-    first = next(list_problems(targets, profile), None)
-    if first is None:
-        return ""
-    index, problem = first
-    return f"Target '{targets[index].name}', {problem.key}: {problem.text}. {SHOWN['edit']} edits the list."
+    for index, key, text in list_problems(targets, profile):
+        return f"Target '{targets[index].name}', {key}: {text}. {SHOWN['edit']} edits the list."
+    return ""
 
 
 _NOT_MEASURED = f"Nothing was computed yet: {SHOWN['go']} compensates, {SHOWN['measure']} pushes and verifies."
