@@ -16,11 +16,11 @@ import numpy as np
 
 from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.measuring import APART_M, MISSED, FoundPoint, SmrSearch
-from cellapp.cell.driving.motion import Confirm, MotionRefused
+from cellapp.cell.driving.motion import Confirm, MotionRefused, reading_of
 from cellapp.cell.driving.supervision import MovingCell, moving_cell
-from cellapp.cell.driving.target_visit import Driver
+from cellapp.cell.driving.target_visit import drive_to
 from cellapp.cell.planning.planned_stops import tell_time, visits_s
-from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
+from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.cell.safety.gate import clear_stops, visible_stops
 from cellapp.estimation.monitoring.belief import SequentialState
 from cellapp.estimation.readings import Readings
@@ -28,7 +28,6 @@ from cellapp.ground.control import JobControl
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
-from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import CellModel
 from drivers.arms.protocol import ArmState
 
@@ -91,7 +90,7 @@ def drive_check(
         repeat, mover = profile.collection.repeat, moving.mover
         repeats = 1 if repeat.precision is None else repeat.times
         search = SmrSearch(profile, model, mover, np.eye(4), excess_m, repeats, moving.hold)
-        checking = _Checking(stops, judge, moving, Driver(mover, home_positions(profile)), search, control)
+        checking = _Checking(stops, judge, moving, search, control)
         seconds = visits_s(profile, [{name: its.q[0] for name, its in stop.items()} for stop in stops])
         tell_time(control, "check", profile, seconds, 0, len(stops), "takes at most about")
         checking.visit_all()
@@ -109,7 +108,6 @@ class _Checking:
     stops: Sequence[Mapping[str, Readings]]
     judge: Judge
     moving: MovingCell
-    driver: Driver
     search: SmrSearch
     control: JobControl
     driven: DrivenCheck = field(default_factory=DrivenCheck)
@@ -157,22 +155,25 @@ class _Checking:
 
     def _drive(self, wanted: Mapping[str, Readings]) -> dict[str, ArmState]:
         """Drive arms to readings of the calibration, with the last motion as then; else one of its direction."""
-        signs = {name: its.approach[0].astype(np.float64) for name, its in wanted.items()}
+        mover, signs = self.moving.mover, {name: its.approach[0].astype(np.float64) for name, its in wanted.items()}
         steps = {name: np.nan_to_num(its.step[0]) for name, its in wanted.items() if its.step is not None}
         if len(steps) == len(wanted):
             with suppress(MotionRefused):
-                return self.driver.to(list(wanted), lambda name, start: wanted[name].q[0], steps, 1.0)
-        return self.driver.to(list(wanted), lambda name, start: wanted[name].q[0], signs)
+                return drive_to(mover, list(wanted), lambda name, start: wanted[name].q[0], steps, 1.0)
+        return drive_to(mover, list(wanted), lambda name, start: wanted[name].q[0], signs)
 
     def _measure(self, number: int, states: Mapping[str, ArmState]) -> bool:
         """Measure the SMRs of arms that are at a stop together; return whether the test is decided then."""
         found = {name: point for name, state in states.items() if (point := self._find(name, state)) is not None}
         if not found:
             return False
-        rows = {name: self._reading(name, point) for name, point in found.items()}
         # arms that went to a stop one by one count as two stops: the other arm was at home
         count = len(self.driven.stops)
-        state = self.judge({name: row.at_stop(count) for name, row in rows.items()})
+        rows = {}
+        for name, one in found.items():  # no time: it would be far beyond the times of the calibration
+            row = reading_of(one.point, one.conditions, sequence=float(count), temperature_c=one.point.temperature_c)
+            rows[name] = row.at_stop(count)
+        state = self.judge(rows)
         self.driven.stops.append(MeasuredStop(number, found, state, self.elapsed_s()))
         return state.sure
 
@@ -191,26 +192,6 @@ class _Checking:
                 " looked for any more: look for a covered or missing SMR"
             )
         return None
-
-    def _reading(self, name: str, found: FoundPoint) -> Readings:
-        """Return the reading of a point with the conditions of its arm, as collecting stores it.
-
-        It has no time: seconds since the start of the run would be far beyond the times of the calibration.
-        """
-        conditions, point = found.conditions, found.point
-        return self.moving.mover.reading(
-            name,
-            point,
-            sequence=float(len(self.driven.stops)),
-            payload_kg=_first(conditions.payload_kg),
-            temperature_c=point.temperature_c,
-            joint_temperature_c=None if conditions.joints_c is None else conditions.joints_c[0],
-            dwell_s=_first(conditions.dwell_s),
-        )
-
-
-def _first(values: Array | None) -> float | None:
-    return None if values is None else float(values[0])
 
 
 # -- Stops at which a check can measure all arms together: stops of the calibration that are clear and visible --------

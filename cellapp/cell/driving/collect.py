@@ -16,22 +16,15 @@ from typing import TypeVar
 
 import numpy as np
 
-from cellapp.cell.driving.cell import Cell, open_cell, start_tracker
+from cellapp.cell.driving.cell import Cell, open_cell
 from cellapp.cell.driving.cell_checks import Hung, change_load, check_controllers, other_loads, require_load
 from cellapp.cell.driving.diagnosis import require_links
 from cellapp.cell.driving.live_model import AirTemperature, LiveModel
 from cellapp.cell.driving.measuring import References, SmrMeasurement
-from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover, PointAtRest, point_measured
-from cellapp.cell.driving.reaction import CellStopped, StopCause, StopReaction, cause_of
+from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover, PointAtRest, point_measured, reading_of
+from cellapp.cell.driving.reaction import CellStopped, StopCause, StopReaction
 from cellapp.cell.driving.records import CollectResult, End
-from cellapp.cell.driving.stops_to_collect import (
-    StopQueue,
-    StopsToCollect,
-    Travel,
-    forbidden_stops,
-    remaining_work,
-    work_again,
-)
+from cellapp.cell.driving.stops_to_collect import StopQueue, StopsToCollect, Travel, remaining_work, work_again
 from cellapp.cell.driving.supervision import CellSupervisor, reacting
 from cellapp.cell.driving.sweeping import SweepDriver, Sweeps, due_sweeps
 from cellapp.cell.planning.planned_stops import planned_time, tell_time
@@ -43,7 +36,7 @@ from cellapp.cell.run.measured_again import (
     replace_stop,
     replaced_counts,
 )
-from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
+from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.cell.safety.gate import CellBodies
 from cellapp.estimation.readings import Readings
 from cellapp.ground.control import Aborted, JobControl, Stopped
@@ -97,16 +90,9 @@ class CollectSession:
         self._queue = StopQueue(self.work)
         self._mover = Mover(profile, self.cell, self.bodies, self.reaction, self._emit)
         self._supervisor = CellSupervisor(
-            self.cell,
-            self.control,
-            self.reaction,
-            self._settings.suspend,
-            self._reconnect_tracker,
-            self._record,
-            self._emit,
-            self._after_resume,
+            self.cell, self.control, self.reaction, profile, self._record, self._emit, self._after_resume
         )
-        self._measurement = SmrMeasurement(self._mover, self._supervisor, self._settings.repeat, self._tracker_ready)
+        self._measurement = SmrMeasurement(self._mover, self._supervisor)
         self._references = References(
             self.run,
             self.number,
@@ -120,12 +106,12 @@ class CollectSession:
         stored = {name: self.run.readings(name) for name in self.work.route.q}
         if self.work.again:  # leave out the stops to be measured again: the model judges them anew
             stored = {name: its.take(~np.isin(its.configuration, self.work.stops)) for name, its in stored.items()}
-        self._model = LiveModel(profile, self.work.route.q, stored, self._log)
+        self.model = LiveModel(profile, self.work.route.q, stored, self._log)
         driver = SweepDriver(
             self.cell, self._mover, self.bodies, self.reaction, self.control, 1.0 / self._settings.motion_rate
         )
         self._sweeps = Sweeps(self.run, driver, self.number, self._note, self._emit)
-        self._travel = Travel(profile, self._mover, self.work)
+        self._travel = Travel(self._mover, self.work)
         self._forbidden: set[int] = set()
         self._warm_until_s: float | None = None
         self._missed = 0
@@ -185,7 +171,7 @@ class CollectSession:
     def _after_resume(self) -> None:
         """Restart slowly and without suspicions: a person may have been in the cell, or changed something in it."""
         self._travel.slow_again()
-        self._model.forget_suspicions()
+        self.model.forget_suspicions()
 
     def _visit_next(self) -> bool:
         """Move to the next stop, measure and store; return whether the requested accuracy is reached."""
@@ -210,7 +196,7 @@ class CollectSession:
         self._until_reference -= 1
         self._report(stop, rows)
         self._check_missed(rows)
-        return not (self.work.again or self._is_loaded) and self._model.accurate_enough(self._queue.finished)
+        return not (self.work.again or self._is_loaded) and self.model.accurate_enough(self._queue.finished)
 
     def _sweep(self, stop: int) -> None:
         """Record the remaining sweeps about a stop, with the arms at rest there; skip stops that were left out."""
@@ -228,7 +214,7 @@ class CollectSession:
 
     def _report(self, stop: int, rows: Mapping[str, Readings]) -> None:
         """Refit the running model and report what it shows; log suspicions."""
-        for detail in self._model.add(stop, rows):
+        for detail in self.model.add(stop, rows):
             if isinstance(detail, Suspicion):
                 self._suspect(detail)
             else:
@@ -237,11 +223,6 @@ class CollectSession:
     def _suspect(self, suspicion: Suspicion) -> None:
         self._emit(suspicion)
         self._note(f"after {counted(self._queue.finished, 'stop')}: {suspicion.kind}: {suspicion.text}")
-
-    @property
-    def standard_error_mm(self) -> dict[str, float]:
-        """Standard uncertainty [mm] of a predicted SMR position due to the parameters, by arm."""
-        return self._model.standard_error_mm
 
     def _check_missed(self, rows: Mapping[str, Readings]) -> None:
         """Pause after too many consecutive stops without a reading; raise ``HardwareError`` if nobody attends."""
@@ -260,14 +241,12 @@ class CollectSession:
         if not self.cell.tracker_unmet:
             return
         text = "; ".join(self.cell.tracker_unmet)
-        if not self._supervisor.suspended("tracker_warm_up", text, self._tracker_ready):
+        if not self._supervisor.suspended("tracker_warm_up", text, self._supervisor.tracker_ready):
             self.cell.require_tracker()
 
     def _leave_out_forbidden_stops(self) -> None:
         """Ask every controller, before anything moves, which stops it forbids; leave those out."""
-        forbidden, errors = forbidden_stops(self.cell, self.work, home_positions(self.run.profile))
-        for name, error in errors.items():
-            raise self._mover.stop_cell(cause_of(name, error))
+        forbidden = self._travel.forbidden_stops()
         self._forbidden = set(forbidden)
         for stop, reason in forbidden.items():
             self._leave_out({stop}, reason)
@@ -276,7 +255,7 @@ class CollectSession:
     def _confirm_first_motion(self) -> None:
         """Let a person confirm the first motion."""
         first = self._queue.next()
-        homes = home_positions(self.run.profile)
+        homes = self._mover.homes
         if self._settings.warm_up > 0.0:
             first = next(iter(self._allowed_stops()), first)
         elif self._settings.reference.every > 0:
@@ -350,7 +329,7 @@ class CollectSession:
     def _end_at_home(self) -> None:
         """Move all arms home."""
         try:
-            self._travel.home_at_once(home_positions(self.run.profile))
+            self._travel.home_at_once()
         except MotionRefused as error:
             self.notes.append(f"the arms stay where they are: {error}")
 
@@ -385,16 +364,14 @@ class CollectSession:
         self, stop: int, name: str, state: ArmState, point: PointAtRest, temperature_c: float | None
     ) -> Readings:
         """Return the reading of a point just measured; its dwell time lasts until the middle of the averaging."""
-        rested_s, carried = self._mover.rested_s(name), self.profile.arms[name].payload
-        return self._mover.reading(
-            name,
+        carried, payload_kg = self.profile.arms[name].payload, state.payload_kg
+        return reading_of(
             point,
+            self._mover.conditions(name, state, -0.5 * point.averaging_s),
             time_s=point.time_s - self._begin(point.time_s - point.averaging_s),
-            payload_kg=carried.mass if state.payload_kg is None and self._is_loaded else state.payload_kg,
+            payload_kg=carried.mass if payload_kg is None and self._is_loaded else payload_kg,
             payload_center_F=np.array(carried.center_of_mass) if self._is_loaded else None,
             temperature_c=temperature_c,
-            joint_temperature_c=state.joint_temperature_c,
-            dwell_s=None if rested_s is None else max(rested_s - 0.5 * point.averaging_s, 0.0),
             split=self.work.split,
         )
 
@@ -453,14 +430,6 @@ class CollectSession:
     def _run_time_s(self) -> float | None:
         """Return the time since the run began [s], on the clock of the readings; None before the first measurement."""
         return None if self.began_s is None else self.cell.clock.now_s() - self.began_s
-
-    def _tracker_ready(self) -> bool:
-        """Connect and prepare the tracker again; return whether it is ready to measure."""
-        return not start_tracker(self.cell.tracker, self.run.profile.tracker.driver)
-
-    def _reconnect_tracker(self) -> None:
-        self.cell.tracker.disconnect()
-        start_tracker(self.cell.tracker, self.run.profile.tracker.driver)
 
 
 def collect_run(
@@ -582,7 +551,7 @@ class _Sessions:
                     raise HardwareError(f"nothing could be measured: {reason}")
                 run.end_session(number, outcome, "")
             self.began_s, self.ended_s = session.began_s, cell.clock.now_s()
-        self.standard_error_mm = session.standard_error_mm
+        self.standard_error_mm = session.model.standard_error_mm
         return outcome
 
 

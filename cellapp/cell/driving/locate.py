@@ -14,7 +14,7 @@ from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.measuring import APART_M, MISSED, FoundPoint, SmrSearch
 from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover, Vector
 from cellapp.cell.driving.supervision import moving_cell
-from cellapp.cell.driving.target_visit import Driver
+from cellapp.cell.driving.target_visit import drive_to
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.safety.gate import CellBodies, clear_stops, refuse_motion, visible
 from cellapp.estimation.calibration.station_location import ArmPoints, StationFit, fit_station
@@ -199,9 +199,6 @@ class _Measuring:
     notes: list[str] = field(default_factory=list)
     _missed: int = 0
 
-    def __post_init__(self) -> None:
-        self.driver = Driver(self.mover, home_positions(self.task.profile))
-
     @property
     def found(self) -> list[FoundPoint]:
         """Points found so far."""
@@ -260,7 +257,7 @@ class _Measuring:
     def _go(self, name: str, q: Vector) -> ArmState:
         """Move one arm, the others at home, with a short last motion: effects that depend on it are known for those."""
         here = self.mover.positions()[name]
-        return self.driver.to([name], lambda name, start: q, {name: np.sign(q - here)})[name]
+        return drive_to(self.mover, [name], lambda name, start: q, {name: np.sign(q - here)})[name]
 
     def _lost_words(self, name: str) -> str:
         tried = f"{self._missed} SMRs in a row were not found, the last one of arm {name}"

@@ -14,10 +14,10 @@ from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover
 from cellapp.cell.driving.reaction import StopReaction
 from cellapp.cell.driving.records import RehearsedMotion
 from cellapp.cell.driving.rehearsal_rungs import RUNGS, Rung, RungName
-from cellapp.cell.driving.stops_to_collect import StopsToCollect, Travel, forbidden_stops, remaining_work
+from cellapp.cell.driving.stops_to_collect import StopsToCollect, Travel, remaining_work
 from cellapp.cell.driving.supervision import hold_while_paused, reacting
 from cellapp.cell.run import RunFile
-from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
+from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError
 from cellapp.ground.progress import Detail, MotionBegun, MotionEnded
@@ -87,16 +87,13 @@ class _Driver:
     def __post_init__(self) -> None:
         profile = self.run.profile
         self.mover = Mover(profile, self.cell, cell_bodies(profile), self.reaction, self._note)
-        self.travel = Travel(profile, self.mover, self.work)
+        self.travel = Travel(self.mover, self.work)
         self.mover.speed = self.rung.share
         self._begun: tuple[MotionBegun, float] | None = None
 
     def drive(self, confirm: Confirm | None) -> None:
         """Visit the stops of the rung, then go home."""
-        homes = home_positions(self.run.profile)
-        forbidden, errors = forbidden_stops(self.cell, self.work, homes)
-        for name, error in errors.items():
-            raise HardwareError(f"arm {name}: {error}") from error
+        forbidden = self.travel.forbidden_stops()
         stops = [stop for stop in self.work.stops if stop not in forbidden][: self.rung.stops]
         if self.rung.stops is None:
             self.found.refused |= {stop + 1: why for stop, why in forbidden.items()}

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Literal
 
-from cellapp.cell.driving.cell import Cell, open_cell
+from cellapp.cell.driving.cell import Cell, open_cell, start_tracker
 from cellapp.cell.driving.motion import Confirm, Mover
 from cellapp.cell.driving.reaction import CellStopped, StopCause, StopReaction
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
@@ -20,7 +20,7 @@ from cellapp.cell.safety.gate import CellBodies
 from cellapp.ground.control import Aborted, JobControl, Stopped
 from cellapp.ground.errors import CellappError, HardwareError
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.sections import Suspend, Suspension
+from cellapp.ground.profile.sections import Suspension
 from cellapp.ground.progress import ArmLive, Cancelled, CellLive, Detail, Halt, StateChange
 from cellapp.robot.model import CellModel
 from drivers.clock import slept_s
@@ -144,8 +144,7 @@ class CellSupervisor:
     cell: Cell
     control: JobControl
     reaction: StopReaction
-    suspend: Suspend
-    reconnect_tracker: Callable[[], None]
+    profile: Profile
     record: Record
     emit: Callable[[Detail], None]
     after_resume: Callable[[], None]
@@ -200,7 +199,7 @@ class CellSupervisor:
 
     def _resumes_after_stall(self, causes: Sequence[StopCause], text: str) -> bool:
         """Resume after a stall of this computer if the profile allows it and nothing else happened; return whether."""
-        allowed = self.suspend.host_stall
+        allowed = self.profile.collection.suspend.host_stall
         if self._asleep_s() > allowed.wait or not self._begin("host_stall", text):
             return False
         self.cell.clock.wait(allowed.retry, self.control.wait)
@@ -227,7 +226,7 @@ class CellSupervisor:
         """
         if not self._begin(kind, reason):
             return False
-        allowed: Suspension = getattr(self.suspend, kind)
+        allowed: Suspension = getattr(self.profile.collection.suspend, kind)
         end_s = self.cell.clock.now_s() + allowed.wait
         while self.cell.clock.now_s() < end_s:
             self.wait(min(allowed.retry, max(end_s - self.cell.clock.now_s(), 1e-3)))
@@ -278,12 +277,17 @@ class CellSupervisor:
     def _release(self, known: Sequence[StopCause]) -> None:
         """Reconnect the tracker if it was a cause; release. Raise ``HardwareError`` if not ready, or on a new cause."""
         if any(cause.kind == "tracker" for cause in known):
-            self.reconnect_tracker()
+            self.cell.tracker.disconnect()
+            self.tracker_ready()
         self.reaction.release(known)
+
+    def tracker_ready(self) -> bool:
+        """Connect and prepare the tracker again; return whether it is ready to measure."""
+        return not start_tracker(self.cell.tracker, self.profile.tracker.driver)
 
     def _begin(self, kind: SuspensionKind, reason: str) -> bool:
         """Return whether another suspension for this cause is allowed; if so, count and announce it."""
-        allowed: Suspension = getattr(self.suspend, kind)
+        allowed: Suspension = getattr(self.profile.collection.suspend, kind)
         if self._used[kind] >= allowed.times:
             return False
         self._used[kind] += 1

@@ -38,7 +38,7 @@ from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover, Vector
 from cellapp.cell.driving.reaction import StopReaction
 from cellapp.cell.driving.supervision import attended_cell, hold_while_paused
 from cellapp.cell.driving.sweeping import INTERVAL_S, PathDriver
-from cellapp.cell.driving.target_visit import Driver
+from cellapp.cell.driving.target_visit import drive_to
 from cellapp.cell.planning.planned_stops import tell_time, visits_s
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies, remembered
@@ -389,7 +389,6 @@ class _Session:
         """Use these bodies from now on; move slowly in a cell of real arms."""
         self.bodies = bodies
         self.mover = Mover(self.task.profile, self.cell, bodies, self.reaction)
-        self.driver = Driver(self.mover, self.homes)
         slow = self.task.profile.collection.slow_start.speed
         self.mover.speed = min(slow, self.task.speed) if self.task.profile.moves_hardware else self.task.speed
 
@@ -465,31 +464,33 @@ class _Session:
         programmes = self.findings.programmes.values()
         self._rehearse([one for own in programmes for one in (*pose_visits(own, 1), *directional_visits(own, 1))])
         self.findings.also_speeds = self.task.also_speeds
-        visits = self._visits()
-        series = {share: self._poses_at(share) for share in self.task.also_speeds}
-        self.total = max(len(visits) + sum(map(len, series.values())), 1)
-        tell_time(self.control, "iso9283", self.task.profile, self._seconds(visits, series), 0, self.total)
+        series = {0.0: self._visits()} | {share: self._poses_at(share) for share in self.task.also_speeds}
+        every = [visit for visits in series.values() for visit in visits]
+        self.findings.wanted |= {visit.place: self.task.cycles for visit in every if visit.place is not None}
+        self.total = max(len(every), 1)
+        tell_time(self.control, "iso9283", self.task.profile, self._seconds(series), 0, self.total)
         if "drift" in tests:
             for name in self.findings.cubes:
                 self._drift(name)
-        self._visit_all(visits)
-        if "path" in tests:
-            self._paths(self.task.speed)
-        for share, own in series.items():
-            self.mover.speed = share
-            self._visit_all(own)
+        for share, visits in series.items():
+            self.mover.speed = share or self.task.speed
+            self._visit_all(visits)
             if "path" in tests:
-                self._paths(share, share)
+                self._paths(share)
         self.mover.speed = self.task.speed
 
-    def _seconds(self, visits: Sequence[Visit], series: Mapping[float, Sequence[Visit]]) -> float:
-        """Estimate the time of all tests [s]; paths at the commanded speed, motions at that of the profile."""
+    def _seconds(self, series: Mapping[float, Sequence[Visit]]) -> float:
+        """Estimate the time of all tests [s]; paths at the commanded speed, motions at that of the profile.
+
+        ``series`` are the visits at each speed as in ``PathRuns.series``.
+        """
         profile, tests, edges = self.task.profile, self.task.tests, [cube.edge for cube in self.findings.cubes.values()]
         total = len(edges) * self.task.drift_s if "drift" in tests else 0.0
         path_m = sum(edges) * (np.sqrt(2.0) + np.pi * (LARGE_CIRCLE + SMALL_CIRCLE)) * len(self.task.commands)
         path_s = wanted_cycles("path", self.task.cycles) * path_m / PATH_SPEED if "path" in tests else 0.0
-        for share, own in ((self.task.speed, visits), *series.items()):
-            total += visits_s(profile, [one.targets for one in own], DWELL_S) + path_s / share
+        for share, visits in series.items():
+            moving_s = visits_s(profile, [one.targets for one in visits], DWELL_S)
+            total += moving_s + path_s / (share or self.task.speed)
         return float(total)
 
     def _last_programme(self, name: str) -> ArmProgramme | None:
@@ -505,30 +506,23 @@ class _Session:
 
     def _poses_at(self, share: float) -> list[Visit]:
         """Return the visits of the pose test at another fraction of the speed."""
-        if "pose" not in self.task.tests:
-            return []
-        found = [
-            visit
-            for programme in self.findings.programmes.values()
-            for visit in pose_visits(programme, self.task.cycles, share)
-        ]
-        self.findings.wanted |= {visit.place: self.task.cycles for visit in found if visit.place is not None}
-        return found
+        programmes = self.findings.programmes.values() if "pose" in self.task.tests else ()
+        return [visit for programme in programmes for visit in pose_visits(programme, self.task.cycles, share)]
 
-    def _paths(self, speed: float, series: float = 0.0) -> None:
+    def _paths(self, series: float) -> None:
         """Run the path tests of one arm after the other, the others at home; ``series`` is as in ``PathRuns``."""
         names = list(self.findings.cubes)
         for done, name in enumerate(names):
             self.control.tell("paths", done, len(names), f"arm {name}")
             self.mover.go_home()
-            self._paths_of(name, speed, series)
+            self._paths_of(name, series)
         self.control.tell("paths", len(names), len(names), "done")
 
-    def _paths_of(self, name: str, speed: float, series: float) -> None:
+    def _paths_of(self, name: str, series: float) -> None:
         """Drive all paths of an arm with each kind of commands; record why one cannot be driven."""
         model, arm = self.findings.model, self.cell.arms[name]
         assert model is not None
-        specs = path_specs(name, self.findings.cubes[name], speed)
+        specs = path_specs(name, self.findings.cubes[name], series or self.task.speed)
         if stream_of(self.cell.tracker) is None:
             specs = "this tracker's driver cannot measure a moving SMR"
         elif not isinstance(arm, PathFollower):
@@ -543,16 +537,10 @@ class _Session:
                 if isinstance(chosen, str):
                     self.findings.refuse(name, ["path"], f"{spec.name}, {kind} commands: {chosen}")
                 else:
-                    self._drive_path(spec, kind, *chosen, speed, series)
+                    self._drive_path(spec, kind, *chosen, series)
 
     def _drive_path(
-        self,
-        spec: PathSpec,
-        kind: IsoCommands,
-        trajectory: Trajectory,
-        path: CartesianPath,
-        speed: float,
-        series: float,
+        self, spec: PathSpec, kind: IsoCommands, trajectory: Trajectory, path: CartesianPath, series: float
     ) -> None:
         """Drive one path over all cycles."""
         s, commanded, tangents = places_along(path)
@@ -584,9 +572,10 @@ class _Session:
                 self.mover.move({spec.arm: q})
 
         driver = PathDriver(self.cell, self.mover, self.reaction, self.control)
+        interval_s = INTERVAL_S / (series or self.task.speed)  # as many points at each speed
         try:
-            for _ in range(runs.wanted):  # points in an interval that makes them as many at each speed
-                runs.tracks.append(driver.drive(spec.arm, trajectory, begin, start_M[0], INTERVAL_S / speed))
+            for _ in range(runs.wanted):
+                runs.tracks.append(driver.drive(spec.arm, trajectory, begin, start_M[0], interval_s))
         except (MotionRefused, TrackerError) as error:
             runs.problems.append(str(error))
 
@@ -598,13 +587,8 @@ class _Session:
             for test, visits in makers.items():
                 if test in self.task.tests:
                     found += visits(programme, self.task.cycles)
-        if "cooperative" in self.task.tests:
-            found += self._cooperative()
-        self.findings.wanted |= {visit.place: self.task.cycles for visit in found if visit.place is not None}
-        return found
-
-    def _cooperative(self) -> Sequence[Visit]:
-        found: list[Visit] = []
+        if "cooperative" not in self.task.tests:
+            return found
         for (first, second), pairs in self.findings.pairs.items():
             for kind in self.task.commands:
                 both = [self.findings.programmes.get((name, kind)) for name in (first, second)]
@@ -646,21 +630,16 @@ class _Session:
     def _visit(self, visit: Visit, group: int = 0) -> None:
         """Drive to a visit's targets; measure if it has a place; record why a measurement is missing."""
         self._hold()
-        names = list(visit.targets)
         try:
             states = self._drive(visit.targets)
             if visit.place is None:
                 return
-            points = {name: self._at_rest(name, states[name].q) for name in names}
+            points = {name: self._at_rest(name, states[name].q) for name in visit.targets}
         except (MotionRefused, TrackerError) as error:
             _raise_if_not_ready(error)
             self._miss(visit, str(error))
             return
-        self._keep(visit, points, group)
-
-    def _keep(self, visit: Visit, points: Mapping[str, Point], group: int) -> None:
         self._missed = 0
-        assert visit.place is not None
         first, share = points[visit.place.arms[0]], self.task.profile.tolerances.covariance_factor
         self.findings.measured.visits.append(
             MeasuredVisit(
@@ -676,7 +655,7 @@ class _Session:
         )
 
     def _drive(self, targets: Mapping[str, Vector]) -> Mapping[str, ArmState]:
-        return self.driver.to(list(targets), lambda name, start: targets[name], {})
+        return drive_to(self.mover, list(targets), lambda name, start: targets[name], {})
 
     def _at_rest(self, name: str, q: Vector) -> Point:
         self.mover.rest(name, DWELL_S, self.control)
