@@ -16,8 +16,8 @@ import numpy as np
 
 from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.measuring import APART_M, MISSED, FoundPoint, SmrSearch
-from cellapp.cell.driving.motion import Confirm, MotionRefused, reading_of
-from cellapp.cell.driving.supervision import MovingCell, moving_cell
+from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover, reading_of
+from cellapp.cell.driving.supervision import moving_cell
 from cellapp.cell.driving.target_visit import drive_to
 from cellapp.cell.planning.planned_stops import tell_time, visits_s
 from cellapp.cell.safety.cell_bodies import cell_bodies
@@ -86,11 +86,11 @@ def drive_check(
     Stopped, Aborted
         On request; the arms have been braked.
     """
-    with moving_cell(profile, model, control, confirm=confirm, opened=opened) as moving:
-        repeat, mover = profile.collection.repeat, moving.mover
+    with moving_cell(profile, model, control, confirm=confirm, opened=opened) as mover:
+        repeat = profile.collection.repeat
         repeats = 1 if repeat.precision is None else repeat.times
-        search = SmrSearch(profile, model, mover, np.eye(4), excess_m, repeats, moving.hold)
-        checking = _Checking(stops, judge, moving, search, control)
+        search = SmrSearch(model, mover, np.eye(4), excess_m, repeats)
+        checking = _Checking(stops, judge, mover, search)
         seconds = visits_s(profile, [{name: its.q[0] for name, its in stop.items()} for stop in stops])
         tell_time(control, "check", profile, seconds, 0, len(stops), "takes at most about")
         checking.visit_all()
@@ -107,25 +107,24 @@ def drive_check(
 class _Checking:
     stops: Sequence[Mapping[str, Readings]]
     judge: Judge
-    moving: MovingCell
+    mover: Mover
     search: SmrSearch
-    control: JobControl
     driven: DrivenCheck = field(default_factory=DrivenCheck)
     _missed: Counter[str] = field(default_factory=Counter)
 
     def elapsed_s(self) -> float:
         """Time since the first motion [s]."""
-        return self.moving.cell.clock.now_s() - self.moving.began_s
+        return self.mover.cell.clock.now_s() - self.mover.began_s
 
     def visit_all(self) -> None:
         """Visit the stops until the test is decided, or every arm is given up."""
         for number, stop in enumerate(self.stops):
-            self.moving.hold()
-            self.moving.mover.slow_start(number)
+            self.mover.hold()
+            self.mover.slow_start(number)
             wanted = {name: q for name, q in stop.items() if name not in self.driven.lost}
             if not wanted:
                 break
-            self.control.tell("check", number, len(self.stops), f"stop {number + 1}")
+            self.mover.control.tell("check", number, len(self.stops), f"stop {number + 1}")
             if self._visit(number, wanted):
                 break
         if not self.driven.stops:
@@ -155,12 +154,12 @@ class _Checking:
 
     def _drive(self, wanted: Mapping[str, Readings]) -> dict[str, ArmState]:
         """Drive arms to readings of the calibration, with the last motion as then; else one of its direction."""
-        mover, signs = self.moving.mover, {name: its.approach[0].astype(np.float64) for name, its in wanted.items()}
+        signs = {name: its.approach[0].astype(np.float64) for name, its in wanted.items()}
         steps = {name: np.nan_to_num(its.step[0]) for name, its in wanted.items() if its.step is not None}
         if len(steps) == len(wanted):
             with suppress(MotionRefused):
-                return drive_to(mover, list(wanted), lambda name, start: wanted[name].q[0], steps, 1.0)
-        return drive_to(mover, list(wanted), lambda name, start: wanted[name].q[0], signs)
+                return drive_to(self.mover, list(wanted), lambda name, start: wanted[name].q[0], steps, 1.0)
+        return drive_to(self.mover, list(wanted), lambda name, start: wanted[name].q[0], signs)
 
     def _measure(self, number: int, states: Mapping[str, ArmState]) -> bool:
         """Measure the SMRs of arms that are at a stop together; return whether the test is decided then."""

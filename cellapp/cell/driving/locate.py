@@ -172,11 +172,10 @@ def locate_station(
         On request; the arms have been braked.
     """
     profile, model = task.profile, task.model
-    with moving_cell(profile, model, control, confirm=confirm, opened=opened, slow_visits=None) as moving:
-        mover = moving.mover
-        stops = LocatingStops(profile, model, moving.bodies, task.candidates)
-        search = SmrSearch(profile, model, mover, task.rough_T, task.excess_m, _REPEATS, moving.hold)
-        measuring = _Measuring(task, mover, stops, search, moving.hold, control)
+    with moving_cell(profile, model, control, confirm=confirm, opened=opened, slow_visits=None) as mover:
+        stops = LocatingStops(profile, model, mover.bodies, task.candidates)
+        search = SmrSearch(model, mover, task.rough_T, task.excess_m, _REPEATS)
+        measuring = _Measuring(task, mover, stops, search)
         count, remainder = divmod(task.points, len(task.candidates))  # the first arms take the remainder
         measuring.measure({name: count + (k < remainder) for k, name in enumerate(task.candidates)})
         fit = measuring.fit()
@@ -194,8 +193,6 @@ class _Measuring:
     mover: Mover
     stops: LocatingStops
     search: SmrSearch
-    checkpoint: Callable[[], None]
-    control: JobControl
     notes: list[str] = field(default_factory=list)
     _missed: int = 0
 
@@ -227,12 +224,12 @@ class _Measuring:
     def _measure_arm(self, name: str, count: int, total: int) -> None:
         """Measure ``count`` points of one arm, as long as there are candidates that the tracker should see."""
         while count > 0:
-            self.checkpoint()
+            self.mover.hold()
             q = self.stops.best(name, self.search.T_new_old)
             if q is None:
                 self.notes.append(f"arm {name}: no further joint positions are in the tracker's sight and within reach")
                 return
-            self.control.tell("locate", len(self.found), total, f"arm {name}")
+            self.mover.control.tell("locate", len(self.found), total, f"arm {name}")
             if self._visit(name, q):
                 count -= 1
 

@@ -43,20 +43,19 @@ _MISSED = (TargetLost, WrongTarget, Unstable)
 class SmrMeasurement:
     """Measures SMRs with the repeats and waits of a profile."""
 
-    mover: Mover
     supervisor: CellSupervisor
 
     def at_arm(self, name: str, q: Vector) -> PointAtRest:
         """Measure the SMR of an arm at rest at ``q`` (N,) [rad]. Raise as ``Mover.measure``."""
-        return self._precise(f"arm {name}", lambda: self.mover.measure(name, q))
+        return self._precise(f"arm {name}", lambda: self.supervisor.mover.measure(name, q))
 
     def at_nest(self, name: str, expected_M: Vector) -> PointAtRest:
         """Measure the SMR in a nest near ``expected_M`` (3,) [m]. Raise as ``Mover.measure``."""
-        return self._precise(f"nest {name}", lambda: self.mover.measure_at(expected_M, f"nest {name}"))
+        return self._precise(f"nest {name}", lambda: self.supervisor.mover.measure_at(expected_M, f"nest {name}"))
 
     def _precise(self, what: str, measure: Measure) -> PointAtRest:
         """Repeat until the standard error of the mean is small enough, or the profile's maximum is reached."""
-        points, repeat = [self._patient(what, measure)], self.supervisor.profile.collection.repeat
+        points, repeat = [self._patient(what, measure)], self.supervisor.mover.profile.collection.repeat
         while repeat.precision is not None and len(points) < repeat.times:
             points.append(self._patient(what, measure))
             deviation = np.std([point.p_M for point in points], axis=0, ddof=1) / np.sqrt(len(points))
@@ -288,16 +287,14 @@ class SmrSearch:
     """Searches for SMRs and measures each ``repeats`` times.
 
     ``model`` is in the tracker frame of its calibration; ``rough_T`` (4, 4) maps that frame into a guess of the present
-    one. ``excess_m`` is as in ``fit_station``. ``checkpoint`` is called before each measurement; it may wait.
+    one. ``excess_m`` is as in ``fit_station``. Before each measurement it waits while a person pauses.
     """
 
-    profile: Profile
     model: CellModel
     mover: Mover
     rough_T: Array
     excess_m: Mapping[str, float]
     repeats: int
-    checkpoint: Callable[[], None]
     found: list[FoundPoint] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -317,7 +314,7 @@ class SmrSearch:
     def measure(self, name: str, state: ArmState) -> FoundPoint | str:
         """Measure the SMR of an arm at rest at or near its prediction; return why if it is not found.
 
-        A point that is found improves the station. Raise as ``Mover.measure`` and ``checkpoint``.
+        A point that is found improves the station. Raise as ``Mover.measure`` and ``Mover.hold``.
         """
         found = self._search(name, state)
         if isinstance(found, FoundPoint):
@@ -335,14 +332,14 @@ class SmrSearch:
         return float(np.clip(_REACH * sigma_m, *_REACH_M))
 
     def _search(self, name: str, state: ArmState) -> FoundPoint | str:
-        conditions = self.mover.conditions(name, state, 0.5 * self.profile.tracker.averaging)
+        conditions = self.mover.conditions(name, state, 0.5 * self.mover.profile.tracker.averaging)
         others = {other: q for other, q in self.mover.positions().items() if other != name}
         # predict the SMR of the arm with the station so far, (3,) [m]
         own = ArmPoints(state.q[None], np.zeros((1, 3)), np.zeros((1, 3, 3)), conditions, _only(others))
         expected = np.asarray(predicted_points(relocated(self.model, self.T_new_old), {name: own})[name][0])
         reach_m, problem, at = self._reach_m(expected), "", (name, state.q)
         for offset in lattice(reach_m):
-            self.checkpoint()
+            self.mover.hold()
             try:
                 point = self.mover.measure_at(expected + offset, f"arm {name}", reach_m + _LATTICE_M, 1, at)
                 again = (self.mover.measure_at(point.p_M, f"arm {name}", at=at) for _ in range(self.repeats - 1))

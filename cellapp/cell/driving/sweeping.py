@@ -37,9 +37,8 @@ from cellapp.cell.run.columns import POINT, stems
 from cellapp.cell.run.recordings import recording_states, store_recording
 from cellapp.cell.run.recordings_csv import RecordedStreams, checked_recording
 from cellapp.cell.run.stream_csv import StreamTable
-from cellapp.cell.safety.gate import CellBodies, predicted_smr
+from cellapp.cell.safety.gate import predicted_smr
 from cellapp.estimation.iso9283.evaluate import PathTrack
-from cellapp.ground.control import JobControl
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.grouping import grouped
@@ -135,7 +134,7 @@ class Beam:
                 arm.end_path()
 
 
-def find_again(cell: Cell, mover: Mover, control: JobControl, name: str) -> None:
+def find_again(mover: Mover, name: str) -> None:
     """Measure the SMR of an arm at rest where its beam broke, with retries. Raise ``TrackerError``, ``Cancelled``."""
     for remaining in range(_TRIES, 0, -1):
         try:
@@ -144,8 +143,7 @@ def find_again(cell: Cell, mover: Mover, control: JobControl, name: str) -> None
         except (TargetLost, WrongTarget):
             if remaining == 1:
                 raise
-        cell.clock.wait(_PAUSE_S, control.wait)
-        control.check()
+        mover.wait(_PAUSE_S)
 
 
 _REST_S = 0.5
@@ -210,11 +208,7 @@ class _Leg:
 class SweepDriver:
     """Driver of sweeps in an open cell; ``interval_s`` is the time between two points of the tracker [s]."""
 
-    cell: Cell
     mover: Mover
-    bodies: CellBodies
-    reaction: StopReaction
-    control: JobControl
     interval_s: float
 
     def drive(self, motions: Mapping[str, Sweep], note: Callable[[str], None], live: LiveSweep) -> Iterator[SweepPart]:
@@ -235,7 +229,7 @@ class SweepDriver:
         for part in range(1, _MOST_PARTS + 1):
             try:
                 if part > 1:
-                    find_again(self.cell, self.mover, self.control, name)
+                    find_again(self.mover, name)
                 found, reached = self._recorded(self._legs(motions, from_s), live)
             except (TargetLost, WrongTarget) as error:
                 if part == 1:
@@ -252,13 +246,13 @@ class SweepDriver:
             note(f"arm {name}: the beam broke {from_s[name]:.1f} s after its sweep began; it goes on from there")
         legs = self._legs(motions, from_s)
         own = legs[name]
-        self._follow(legs, live.looking(self.cell.clock, own.s_s, own.arm.path_period_s, "unrecorded"))
+        self._follow(legs, live.looking(self.mover.cell.clock, own.s_s, own.arm.path_period_s, "unrecorded"))
         live.ended()
 
     def _legs(self, motions: Mapping[str, Sweep], from_s: Mapping[str, float]) -> dict[str, _Leg]:
         found = {}
         for name, motion in motions.items():
-            arm = self.cell.arms[name]
+            arm = self.mover.cell.arms[name]
             assert isinstance(arm, _FollowedAndRecorded)
             found[name] = _Leg(arm, *_rest_of(motion, from_s[name], arm.path_period_s))
         return found
@@ -274,22 +268,22 @@ class SweepDriver:
 
         Return the part, and where each arm came to rest as ``_follow``.
         """
-        name, streaming = next(iter(legs)), stream_of(self.cell.tracker)
+        name, streaming = next(iter(legs)), stream_of(self.mover.cell.tracker)
         own, arms = legs[name], {one: leg.arm for one, leg in legs.items()}
         assert streaming is not None
-        beam, recorded = Beam([*arms.values()], self.reaction), dict[str, RecordingArm]()
+        beam, recorded = Beam([*arms.values()], self.mover.reaction), dict[str, RecordingArm]()
         one = name
         try:
             for one, arm in arms.items():
                 arm.start_recording()
                 recorded[one] = arm
             later_s = self._later_s(arms)
-            expected_M = predicted_smr(self.bodies, name, own.q[:1])[0]
+            expected_M = predicted_smr(self.mover.bodies, name, own.q[:1])[0]
             streaming.start_track(expected_M, self.interval_s, beam.lost, beam.received)
-            self._rest()
+            self.mover.wait(_REST_S)
             self._require_own(name, beam, expected_M)
-            reached = self._follow(legs, live.looking(self.cell.clock, own.s_s, own.arm.path_period_s))
-            self._rest()
+            reached = self._follow(legs, live.looking(self.mover.cell.clock, own.s_s, own.arm.path_period_s))
+            self.mover.wait(_REST_S)
             records = {}
             for one in [*recorded]:
                 records[one] = recorded.pop(one).end_recording()
@@ -311,15 +305,9 @@ class SweepDriver:
         first_s = next(iter(states.values()))
         return {name: first_s - its_s for name, its_s in states.items()}
 
-    def _rest(self) -> None:
-        """Rest while recording."""
-        self.cell.clock.wait(_REST_S, self.control.wait)
-        self.control.check()
-        self.reaction.check()
-
     def _require_own(self, name: str, beam: Beam, expected_M: Array) -> None:
         """Check that points arrive and belong to this arm's SMR. Raise ``TrackerError`` if not."""
-        self.cell.tracker.confirm(_FIRST_POINT_S)
+        self.mover.cell.tracker.confirm(_FIRST_POINT_S)
         if beam.error is not None:
             raise beam.error
         if beam.first is None:
@@ -380,8 +368,8 @@ class Sweeps:
         self._tell: Callable[[SweepLive], None] = lambda live: tell(live, sweep_sentence(live))
         self._session = f"sweeps-{session}"
         self._waiting = due_sweeps(run)
-        if self._waiting and driver.cell.record_sweep is None:
-            why = why_no_sweeps(driver.cell, driver.interval_s)
+        if self._waiting and driver.mover.cell.record_sweep is None:
+            why = why_no_sweeps(driver.mover.cell, driver.interval_s)
             if why:
                 note(f"sweeps are left out: {why}; record the motion with your own programs and import it")
                 self._waiting = {}
@@ -403,7 +391,7 @@ class Sweeps:
             checkpoint()
             sweep = waiting[0]
             motions = self._motions(sweep, at)
-            if reason := refuse_sweep(self._driver.bodies, motions, at, self._driver.cell.gate):
+            if reason := refuse_sweep(self._driver.mover.bodies, motions, at, self._driver.mover.cell.gate):
                 self._note(f"stop {stop + 1}: the sweep of arm {sweep.arm} is left out: {reason}")
             elif self._record(sweep, motions, at):
                 recorded.append(sweep.arm)
@@ -428,7 +416,7 @@ class Sweeps:
         begins = SweepLive(sweep.stop, sweep.arm, sweep.name, duration_s=motion.period_s)
         self._tell(begins)
         live = LiveSweep(begins, self._tell)
-        calculated = self._driver.cell.record_sweep
+        calculated = self._driver.mover.cell.record_sweep
         if calculated is not None:
             paths = {name: its.at(its.times(CYCLE_S)) for name, its in motions.items()}
             own = paths.pop(sweep.arm)
@@ -514,73 +502,54 @@ MOST_RUNS = 4
 """Maximum number of runs of a path: one, and another one after each break of the beam."""
 
 
-@dataclass(frozen=True, eq=False)
-class PathDriver:
-    """Drives paths in an open cell."""
+def drive_path(
+    mover: Mover,
+    name: str,
+    trajectory: Trajectory,
+    begin: Callable[[], None],
+    start_M: Array,
+    interval_s: float = INTERVAL_S,
+) -> PathTrack:
+    """Let an arm follow a path, and measure its SMR every ``interval_s`` [s].
 
-    cell: Cell
-    mover: Mover
-    reaction: StopReaction
-    control: JobControl
+    ``begin`` moves the arm to the path's beginning, where its SMR is at ``start_M`` (3,) [m]. If the beam breaks, the
+    arm slows down along the path and rests; its SMR is measured there, and the whole path is driven again. The tracker
+    must be able to measure a moving SMR.
 
-    def drive(
-        self,
-        name: str,
-        trajectory: Trajectory,
-        begin: Callable[[], None],
-        start_M: Array,
-        interval_s: float = INTERVAL_S,
-    ) -> PathTrack:
-        """Let an arm follow a path, and measure its SMR every ``interval_s`` [s].
-
-        ``begin`` moves the arm to the path's beginning, where its SMR is at ``start_M`` (3,) [m]. If the beam breaks,
-        the arm slows down along the path and rests; its SMR is measured there, and the whole path is driven again. The
-        tracker must be able to measure a moving SMR.
-
-        Raises
-        ------
-        MotionRefused
-            If the gate refuses.
-        TargetLost, WrongTarget
-            If the SMR is not seen at the beginning, or the beam broke in all ``MOST_RUNS`` runs.
-        CellStopped
-            As ``Mover.follow``, and if an SMR is not found again after a break of the beam.
-        """
-        streaming, follower = stream_of(self.cell.tracker), self.cell.arms[name]
-        assert streaming is not None
-        assert isinstance(follower, PathFollower)
-        for lost_beams in range(MOST_RUNS):
-            begin()
-            beam = Beam([follower], self.reaction)
-            streaming.start_track(start_M, interval_s, beam.lost)
-            began_s = self.cell.clock.now_s()
-            try:
-                self.mover.follow({name: (trajectory.q, trajectory.period_s)})
-            except BaseException:
-                with suppress(TrackerError):  # report why the arm did not reach the end, not this
-                    streaming.end_track()
-                raise
-            track = streaming.end_track()
-            if beam.error is None:
-                within = (track.time_s >= began_s) & (track.time_s <= began_s + trajectory.duration_s)
-                track = track.within(within)
-                return PathTrack(track.time_s, track.p_M, lost_beams)
-            self._find_again(name)
-        raise TargetLost(
-            f"arm {name}: the beam broke each of the {counted(MOST_RUNS, 'time')} that this path was driven; it is not"
-            " measured. Look for what crosses the beam along it"
-        )
-
-    def _find_again(self, name: str) -> None:
-        """Measure the SMR where the arm rests; stop the cell if it is not found."""
+    Raises
+    ------
+    MotionRefused
+        If the gate refuses.
+    TargetLost, WrongTarget
+        If the SMR is not seen at the beginning, or the beam broke in all ``MOST_RUNS`` runs.
+    CellStopped
+        As ``Mover.follow``, and if an SMR is not found again after a break of the beam.
+    """
+    streaming, follower, clock = stream_of(mover.cell.tracker), mover.cell.arms[name], mover.cell.clock
+    assert streaming is not None
+    assert isinstance(follower, PathFollower)
+    for lost_beams in range(MOST_RUNS):
+        begin()
+        beam = Beam([follower], mover.reaction)
+        streaming.start_track(start_M, interval_s, beam.lost)
+        began_s = clock.now_s()
         try:
-            find_again(self.cell, self.mover, self.control, name)
+            mover.follow({name: (trajectory.q, trajectory.period_s)})
+        except BaseException:
+            with suppress(TrackerError):  # report why the arm did not reach the end, not this
+                streaming.end_track()
+            raise
+        track = streaming.end_track()
+        if beam.error is None:
+            track = track.within((track.time_s >= began_s) & (track.time_s <= began_s + trajectory.duration_s))
+            return PathTrack(track.time_s, track.p_M, lost_beams)
+        try:
+            find_again(mover, name)
         except (TargetLost, WrongTarget) as error:
-            raise self.mover.stop_cell(
-                StopCause(
-                    "tracker",
-                    f"arm {name}: the beam broke while it followed a path, and its SMR is not found again: {error};"
-                    " look for what covers it, then begin again",
-                    name,
-                )
-            ) from error
+            text = f"arm {name}: the beam broke while it followed a path, and its SMR is not found again: {error}"
+            text += "; look for what covers it, then begin again"
+            raise mover.stop_cell(StopCause("tracker", text, name)) from error
+    raise TargetLost(
+        f"arm {name}: the beam broke each of the {counted(MOST_RUNS, 'time')} that this path was driven; it is not"
+        " measured. Look for what crosses the beam along it"
+    )

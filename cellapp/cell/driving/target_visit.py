@@ -122,15 +122,10 @@ _UNSEEN = "not measured: the tracker does not see the SMR there"
 
 @dataclass(frozen=True)
 class TargetVisit:
-    """Visits targets with the arms of an open cell; the parameters are those of ``push``.
-
-    ``hold`` is called between motions: it waits while a person pauses.
-    """
+    """Visits targets with the arms of an open cell; the parameters are those of ``push``."""
 
     model: CellModel
     mover: Mover
-    control: JobControl
-    hold: Callable[[], None]
     verify: bool
     rounds: int
     repeatability_m: Mapping[str, float]
@@ -219,7 +214,7 @@ class TargetVisit:
                 continue
             dwell_s = conditions_of(command.target, name).dwell
             if dwell_s is not None:
-                mover.rest(name, dwell_s, self.control)
+                mover.rest(name, dwell_s)
             try:
                 point = mover.measure(name, states[name].q)
             except TrackerError as error:
@@ -256,7 +251,7 @@ class TargetVisit:
             names = unexplained(last, list(last), before_M)
             if not names:
                 return
-            self.hold()
+            self.mover.hold()
             try:
                 if len(found.rounds) == 1:
                     last = self._again(found, states, {name: one.sent for name, one in first.items()}, list(first))
@@ -476,28 +471,22 @@ def push(
         raise InputError("push: none of the targets can be commanded: " + commands[0].refusal)
     by_target = grouped((command.target.name, command) for command in commands)
     judge, agreement, total, stopped = judge or Judge(profile), Agreement(), len(by_target), ""
-    with moving_cell(profile, model, control, confirm=confirm, opened=opened) as moving:
+    with moving_cell(profile, model, control, confirm=confirm, opened=opened) as mover:
         visit = TargetVisit(
-            model=model,
-            mover=moving.mover,
-            control=control,
-            hold=moving.hold,
-            verify=verify,
-            rounds=rounds,
-            repeatability_m=repeatability_m or {},
+            model=model, mover=mover, verify=verify, rounds=rounds, repeatability_m=repeatability_m or {}
         )
         if verify:
             sent = [{one.arm: q} for one in commands for q in (one.q_nominal, one.q_compensated) if q is not None]
             tell_time(control, "push", profile, visits_s(profile, sent), 0, total)
         for done, (name, own) in enumerate(by_target.items()):
-            visit.hold()
-            moving.mover.slow_start(done)
+            mover.hold()
+            mover.slow_start(done)
             control.tell("push", done, total, name)
             found = visit.to(own)
             visited.add(found, judge, verify=verify)
             agreement.add(found.contradictions())
             if stopped := agreement.broken(ended=done + 1 == total):  # measurements contradict the model
                 break
-        moving.mover.go_home()
+        mover.go_home()
     control.tell("push", total, total, "done")
     return visited.result(stopped)
