@@ -25,7 +25,7 @@ from cellapp.cell.driving.reaction import CellStopped, StopCause
 from cellapp.cell.driving.records import CollectResult, End
 from cellapp.cell.driving.stops_to_collect import StopQueue, StopsToCollect, Travel, remaining_work, work_again
 from cellapp.cell.driving.supervision import CellSupervisor, reacting
-from cellapp.cell.driving.sweeping import SweepDriver, Sweeps, due_sweeps
+from cellapp.cell.driving.sweeping import Sweeps, due_sweeps
 from cellapp.cell.planning.planned_stops import planned_time, tell_time
 from cellapp.cell.run import Outcome, RunFile, SessionEnd
 from cellapp.cell.run.measured_again import (
@@ -99,8 +99,7 @@ class CollectSession:
         if self.work.again:  # leave out the stops to be measured again: the model judges them anew
             stored = {name: its.take(~np.isin(its.configuration, self.work.stops)) for name, its in stored.items()}
         self.model = LiveModel(profile, self.work.route.q, stored, self._log)
-        driver = SweepDriver(self.mover, 1.0 / self._settings.motion_rate)
-        self._sweeps = Sweeps(self.run, driver, self.number, self._note, self._emit)
+        self._sweeps = Sweeps(self.run, self.mover, self.number, self._note, self._emit)
         self._travel = Travel(self.mover, self.work)
         self._forbidden: set[int] = set()
         self._warm_until_s: float | None = None
