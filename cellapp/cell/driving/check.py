@@ -7,7 +7,7 @@ base, tracker or SMR may have moved.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import combinations
@@ -134,23 +134,18 @@ class _Checking:
             )
 
     def _visit(self, number: int, wanted: Mapping[str, Readings]) -> bool:
-        """Measure the arms at one stop, together or one by one; return whether the test is decided."""
-        try:
-            return self._measure(number, self._drive(wanted))
-        except MotionRefused as error:
-            if len(wanted) == 1:
-                self._note_refusal(number, wanted, error)
-                return False
-        for name, q in wanted.items():
+        """Measure the arms at one stop, together or else one by one; return whether the test is decided."""
+        alone = [{name: its} for name, its in wanted.items()]
+        for part in (wanted, *alone) if len(alone) > 1 else alone:
             try:
-                if self._measure(number, self._drive({name: q})):
-                    return True
+                decided = self._measure(number, self._drive(part))
             except MotionRefused as error:
-                self._note_refusal(number, [name], error)
+                if len(part) == 1:
+                    self.driven.notes.append(f"stop {number + 1}, arm {', '.join(part)}: {error}")
+                continue
+            if decided or part is wanted:
+                return decided
         return False
-
-    def _note_refusal(self, number: int, names: Iterable[str], error: MotionRefused) -> None:
-        self.driven.notes.append(f"stop {number + 1}, arm {', '.join(names)}: {error}")
 
     def _drive(self, wanted: Mapping[str, Readings]) -> dict[str, ArmState]:
         """Drive arms to readings of the calibration, with the last motion as then; else one of its direction."""
