@@ -19,7 +19,7 @@ from cellapp.cell.driving.cell import Cell, open_cell
 from cellapp.cell.driving.cell_checks import Hung, change_load, check_controllers, other_loads, require_load
 from cellapp.cell.driving.diagnosis import require_links
 from cellapp.cell.driving.live_model import AirTemperature, LiveModel
-from cellapp.cell.driving.measuring import References, SmrMeasurement
+from cellapp.cell.driving.measuring import References, measured_at_arm
 from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover, PointAtRest, point_measured, reading_of
 from cellapp.cell.driving.reaction import CellStopped, StopCause
 from cellapp.cell.driving.records import CollectResult, End
@@ -84,11 +84,9 @@ class CollectSession:
         self._is_loaded = profile.loads > 1  # then each reading states its payload, and collecting never ends early
         self._queue = StopQueue(self.work)
         self._supervisor = CellSupervisor(self.mover, self._record, self._emit, self._after_resume)
-        self._measurement = SmrMeasurement(self._supervisor)
         self._references = References(
             self.run,
             self.number,
-            self._measurement,
             self._supervisor,
             self._suspect,
             self.accept_drift,
@@ -338,7 +336,7 @@ class CollectSession:
                 self.mover.rest(name, dwell_s[name])
             self._emit(MeasurementBegun(stop, name))
             try:
-                point = self._measurement.at_arm(name, states[name].q)
+                point = measured_at_arm(self._supervisor, name, states[name].q)
             except (TargetLost, WrongTarget, Unstable) as error:
                 outcomes.append(Outcome(stop, name, "not measured", str(error)))
                 self._emit(PointMissed(stop, name, str(error)))

@@ -32,62 +32,53 @@ from cellapp.robot.model import CellModel
 from cellapp.robot.model.model import relocated
 from cellapp.robot.model.nominal import pose_matrix
 from drivers.arms.protocol import ArmState
-from drivers.trackers.protocol import NotReady, TargetLost, TrackerError, Unstable, WrongTarget
+from drivers.trackers.protocol import NotReady, TargetLost, Unstable, WrongTarget
 
 Measure = Callable[[], PointAtRest]
 
 _MISSED = (TargetLost, WrongTarget, Unstable)
 
 
-@dataclass(frozen=True)
-class SmrMeasurement:
-    """Measures SMRs with the repeats and waits of a profile."""
+def measured_at_arm(supervisor: CellSupervisor, name: str, q: Vector) -> PointAtRest:
+    """Measure the SMR of an arm at rest at ``q`` (N,) [rad], with the repeats and waits of the profile.
 
-    supervisor: CellSupervisor
+    Raise as ``Mover.measure``.
+    """
+    return _precise(supervisor, f"arm {name}", lambda: supervisor.mover.measure(name, q))
 
-    def at_arm(self, name: str, q: Vector) -> PointAtRest:
-        """Measure the SMR of an arm at rest at ``q`` (N,) [rad]. Raise as ``Mover.measure``."""
-        return self._precise(f"arm {name}", lambda: self.supervisor.mover.measure(name, q))
 
-    def at_nest(self, name: str, expected_M: Vector) -> PointAtRest:
-        """Measure the SMR in a nest near ``expected_M`` (3,) [m]. Raise as ``Mover.measure``."""
-        return self._precise(f"nest {name}", lambda: self.supervisor.mover.measure_at(expected_M, f"nest {name}"))
+def _precise(supervisor: CellSupervisor, what: str, measure: Measure) -> PointAtRest:
+    """Repeat until the standard error of the mean is small enough, or the profile's maximum is reached."""
+    points, repeat = [_patient(supervisor, what, measure)], supervisor.mover.profile.collection.repeat
+    while repeat.precision is not None and len(points) < repeat.times:
+        points.append(_patient(supervisor, what, measure))
+        deviation = np.std([point.p_M for point in points], axis=0, ddof=1) / np.sqrt(len(points))
+        if deviation.max() <= repeat.precision:
+            break
+    return mean_point(points)
 
-    def _precise(self, what: str, measure: Measure) -> PointAtRest:
-        """Repeat until the standard error of the mean is small enough, or the profile's maximum is reached."""
-        points, repeat = [self._patient(what, measure)], self.supervisor.mover.profile.collection.repeat
-        while repeat.precision is not None and len(points) < repeat.times:
-            points.append(self._patient(what, measure))
-            deviation = np.std([point.p_M for point in points], axis=0, ddof=1) / np.sqrt(len(points))
-            if deviation.max() <= repeat.precision:
-                break
-        return mean_point(points)
 
-    def _patient(self, what: str, measure: Measure) -> PointAtRest:
-        """Measure; if the SMR is missed or the tracker is not ready, wait as the profile allows and try again."""
-        while True:
-            try:
-                return measure()
-            except NotReady as error:
-                if not self.supervisor.suspended("tracker_warm_up", str(error), self.supervisor.tracker_ready):
-                    raise HardwareError(f"{what}: {error}") from error
-            except _MISSED as error:
-                found = self._wait_for_target(what, error, measure)
-                if found is None:
-                    raise
-                return found
+def _patient(supervisor: CellSupervisor, what: str, measure: Measure) -> PointAtRest:
+    """Measure; if the SMR is missed or the tracker is not ready, wait as the profile allows and try again."""
+    found: list[PointAtRest] = []
 
-    def _wait_for_target(self, what: str, error: TrackerError, measure: Measure) -> PointAtRest | None:
-        found: list[PointAtRest] = []
+    def ready() -> bool:
+        try:
+            found.append(measure())
+        except (*_MISSED, NotReady):
+            return False
+        return True
 
-        def ready() -> bool:
-            try:
-                found.append(measure())
-            except (*_MISSED, NotReady):
-                return False
-            return True
-
-        return found[0] if self.supervisor.suspended("target", f"{what}: {error}", ready) else None
+    while True:
+        try:
+            return measure()
+        except NotReady as error:
+            if not supervisor.suspended("tracker_warm_up", str(error), supervisor.tracker_ready):
+                raise HardwareError(f"{what}: {error}") from error
+        except _MISSED as error:
+            if not supervisor.suspended("target", f"{what}: {error}", ready):
+                raise
+            return found[0]
 
 
 def mean_point(points: list[PointAtRest]) -> PointAtRest:
@@ -138,7 +129,6 @@ class References:
 
     run: RunFile
     session: int
-    measurement: SmrMeasurement
     supervisor: CellSupervisor
     suspect: Callable[[Suspicion], None]
     accept_drift: bool = False
@@ -205,10 +195,11 @@ class References:
     def _points(self, states: Mapping[str, Vector]) -> dict[str, PointAtRest]:
         """Measure the arms at ``states`` and the nests; record those that cannot be measured."""
         measure: dict[str, Measure] = {
-            f"arm {name}": partial(self.measurement.at_arm, name, q) for name, q in states.items()
+            f"arm {name}": partial(measured_at_arm, self.supervisor, name, q) for name, q in states.items()
         }
         for name, expected_M in nests_in_M(self.run.profile).items():
-            measure[f"nest {name}"] = partial(self.measurement.at_nest, name, expected_M)
+            at_nest = partial(self.supervisor.mover.measure_at, expected_M, f"nest {name}")
+            measure[f"nest {name}"] = partial(_precise, self.supervisor, f"nest {name}", at_nest)
         points: dict[str, PointAtRest] = {}
         for name, at_reference in measure.items():
             try:
