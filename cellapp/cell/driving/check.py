@@ -7,7 +7,7 @@ base, tracker or SMR may have moved.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import combinations
@@ -16,11 +16,11 @@ import numpy as np
 
 from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.measuring import APART_M, MISSED, FoundPoint, SmrSearch
-from cellapp.cell.driving.motion import Confirm, MotionRefused
-from cellapp.cell.driving.supervision import MovingCell, moving_cell
-from cellapp.cell.driving.target_visit import Driver
+from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover, reading_of
+from cellapp.cell.driving.supervision import moving_cell
+from cellapp.cell.driving.target_visit import drive_to
 from cellapp.cell.planning.planned_stops import tell_time, visits_s
-from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
+from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.cell.safety.gate import clear_stops, visible_stops
 from cellapp.estimation.monitoring.belief import SequentialState
 from cellapp.estimation.readings import Readings
@@ -28,7 +28,6 @@ from cellapp.ground.control import JobControl
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
-from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import CellModel
 from drivers.arms.protocol import ArmState
 
@@ -87,11 +86,11 @@ def drive_check(
     Stopped, Aborted
         On request; the arms have been braked.
     """
-    with moving_cell(profile, model, control, confirm=confirm, opened=opened) as moving:
-        repeat, mover = profile.collection.repeat, moving.mover
+    with moving_cell(profile, model, control, confirm=confirm, opened=opened) as mover:
+        repeat = profile.collection.repeat
         repeats = 1 if repeat.precision is None else repeat.times
-        search = SmrSearch(profile, model, mover, np.eye(4), excess_m, repeats, moving.hold)
-        checking = _Checking(stops, judge, moving, Driver(mover, home_positions(profile)), search, control)
+        search = SmrSearch(model, mover, np.eye(4), excess_m, repeats)
+        checking = _Checking(stops, judge, mover, search)
         seconds = visits_s(profile, [{name: its.q[0] for name, its in stop.items()} for stop in stops])
         tell_time(control, "check", profile, seconds, 0, len(stops), "takes at most about")
         checking.visit_all()
@@ -108,26 +107,24 @@ def drive_check(
 class _Checking:
     stops: Sequence[Mapping[str, Readings]]
     judge: Judge
-    moving: MovingCell
-    driver: Driver
+    mover: Mover
     search: SmrSearch
-    control: JobControl
     driven: DrivenCheck = field(default_factory=DrivenCheck)
     _missed: Counter[str] = field(default_factory=Counter)
 
     def elapsed_s(self) -> float:
         """Time since the first motion [s]."""
-        return self.moving.cell.clock.now_s() - self.moving.began_s
+        return self.mover.cell.clock.now_s() - self.mover.began_s
 
     def visit_all(self) -> None:
         """Visit the stops until the test is decided, or every arm is given up."""
         for number, stop in enumerate(self.stops):
-            self.moving.hold()
-            self.moving.mover.slow_start(number)
+            self.mover.hold()
+            self.mover.slow_start(number)
             wanted = {name: q for name, q in stop.items() if name not in self.driven.lost}
             if not wanted:
                 break
-            self.control.tell("check", number, len(self.stops), f"stop {number + 1}")
+            self.mover.control.tell("check", number, len(self.stops), f"stop {number + 1}")
             if self._visit(number, wanted):
                 break
         if not self.driven.stops:
@@ -137,23 +134,18 @@ class _Checking:
             )
 
     def _visit(self, number: int, wanted: Mapping[str, Readings]) -> bool:
-        """Measure the arms at one stop, together or one by one; return whether the test is decided."""
-        try:
-            return self._measure(number, self._drive(wanted))
-        except MotionRefused as error:
-            if len(wanted) == 1:
-                self._note_refusal(number, wanted, error)
-                return False
-        for name, q in wanted.items():
+        """Measure the arms at one stop, together or else one by one; return whether the test is decided."""
+        alone = [{name: its} for name, its in wanted.items()]
+        for part in (wanted, *alone) if len(alone) > 1 else alone:
             try:
-                if self._measure(number, self._drive({name: q})):
-                    return True
+                decided = self._measure(number, self._drive(part))
             except MotionRefused as error:
-                self._note_refusal(number, [name], error)
+                if len(part) == 1:
+                    self.driven.notes.append(f"stop {number + 1}, arm {', '.join(part)}: {error}")
+                continue
+            if decided or part is wanted:
+                return decided
         return False
-
-    def _note_refusal(self, number: int, names: Iterable[str], error: MotionRefused) -> None:
-        self.driven.notes.append(f"stop {number + 1}, arm {', '.join(names)}: {error}")
 
     def _drive(self, wanted: Mapping[str, Readings]) -> dict[str, ArmState]:
         """Drive arms to readings of the calibration, with the last motion as then; else one of its direction."""
@@ -161,18 +153,21 @@ class _Checking:
         steps = {name: np.nan_to_num(its.step[0]) for name, its in wanted.items() if its.step is not None}
         if len(steps) == len(wanted):
             with suppress(MotionRefused):
-                return self.driver.to(list(wanted), lambda name, start: wanted[name].q[0], steps, 1.0)
-        return self.driver.to(list(wanted), lambda name, start: wanted[name].q[0], signs)
+                return drive_to(self.mover, list(wanted), lambda name, start: wanted[name].q[0], steps, 1.0)
+        return drive_to(self.mover, list(wanted), lambda name, start: wanted[name].q[0], signs)
 
     def _measure(self, number: int, states: Mapping[str, ArmState]) -> bool:
         """Measure the SMRs of arms that are at a stop together; return whether the test is decided then."""
         found = {name: point for name, state in states.items() if (point := self._find(name, state)) is not None}
         if not found:
             return False
-        rows = {name: self._reading(name, point) for name, point in found.items()}
         # arms that went to a stop one by one count as two stops: the other arm was at home
         count = len(self.driven.stops)
-        state = self.judge({name: row.at_stop(count) for name, row in rows.items()})
+        rows = {}
+        for name, one in found.items():  # no time: it would be far beyond the times of the calibration
+            row = reading_of(one.point, one.conditions, sequence=float(count), temperature_c=one.point.temperature_c)
+            rows[name] = row.at_stop(count)
+        state = self.judge(rows)
         self.driven.stops.append(MeasuredStop(number, found, state, self.elapsed_s()))
         return state.sure
 
@@ -191,26 +186,6 @@ class _Checking:
                 " looked for any more: look for a covered or missing SMR"
             )
         return None
-
-    def _reading(self, name: str, found: FoundPoint) -> Readings:
-        """Return the reading of a point with the conditions of its arm, as collecting stores it.
-
-        It has no time: seconds since the start of the run would be far beyond the times of the calibration.
-        """
-        conditions, point = found.conditions, found.point
-        return self.moving.mover.reading(
-            name,
-            point,
-            sequence=float(len(self.driven.stops)),
-            payload_kg=_first(conditions.payload_kg),
-            temperature_c=point.temperature_c,
-            joint_temperature_c=None if conditions.joints_c is None else conditions.joints_c[0],
-            dwell_s=_first(conditions.dwell_s),
-        )
-
-
-def _first(values: Array | None) -> float | None:
-    return None if values is None else float(values[0])
 
 
 # -- Stops at which a check can measure all arms together: stops of the calibration that are clear and visible --------

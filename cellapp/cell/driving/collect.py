@@ -5,7 +5,6 @@ One collecting session in an open cell: visit the stops, measure, store; pause w
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
@@ -16,24 +15,17 @@ from typing import TypeVar
 
 import numpy as np
 
-from cellapp.cell.driving.cell import Cell, open_cell, start_tracker
+from cellapp.cell.driving.cell import Cell, open_cell
 from cellapp.cell.driving.cell_checks import Hung, change_load, check_controllers, other_loads, require_load
 from cellapp.cell.driving.diagnosis import require_links
 from cellapp.cell.driving.live_model import AirTemperature, LiveModel
-from cellapp.cell.driving.measuring import References, SmrMeasurement
-from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover, PointAtRest, point_measured
-from cellapp.cell.driving.reaction import CellStopped, StopCause, StopReaction, cause_of
+from cellapp.cell.driving.measuring import References, measured_at_arm
+from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover, PointAtRest, point_measured, reading_of
+from cellapp.cell.driving.reaction import CellStopped, StopCause
 from cellapp.cell.driving.records import CollectResult, End
-from cellapp.cell.driving.stops_to_collect import (
-    StopQueue,
-    StopsToCollect,
-    Travel,
-    forbidden_stops,
-    remaining_work,
-    work_again,
-)
+from cellapp.cell.driving.stops_to_collect import StopQueue, StopsToCollect, Travel, remaining_work, work_again
 from cellapp.cell.driving.supervision import CellSupervisor, reacting
-from cellapp.cell.driving.sweeping import SweepDriver, Sweeps, due_sweeps
+from cellapp.cell.driving.sweeping import Sweeps, due_sweeps
 from cellapp.cell.planning.planned_stops import planned_time, tell_time
 from cellapp.cell.run import Outcome, RunFile, SessionEnd
 from cellapp.cell.run.measured_again import (
@@ -43,8 +35,7 @@ from cellapp.cell.run.measured_again import (
     replace_stop,
     replaced_counts,
 )
-from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
-from cellapp.cell.safety.gate import CellBodies
+from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.estimation.readings import Readings
 from cellapp.ground.control import Aborted, JobControl, Stopped
 from cellapp.ground.counting import counted
@@ -71,18 +62,14 @@ T = TypeVar("T")
 class CollectSession:
     """Collects the remaining stops of a run with the devices of an open cell.
 
-    ``profile`` is the run's profile, with the payloads that the arms carry at these stops. ``number`` is the number of
+    The profile of ``mover`` is the run's, with the payloads that the arms carry at these stops. ``number`` is that of
     the session in the run. If ``accept_drift``, drift is relative to the first reference measurements of this session.
     ``confirm`` is called once, before the first motion.
     """
 
     run: RunFile
-    profile: Profile
     work: StopsToCollect
-    cell: Cell
-    bodies: CellBodies
-    reaction: StopReaction
-    control: JobControl
+    mover: Mover
     number: int
     accept_drift: bool = False
     confirm: Confirm | None = None
@@ -91,41 +78,27 @@ class CollectSession:
     """Start of the run on the cell's clock [s]; the controllers' own clocks are not used."""
 
     def __post_init__(self) -> None:
-        profile = self.profile
+        profile, cell = self.mover.profile, self.mover.cell
+        self.mover.emit = self._emit
         self._settings = profile.collection
         self._is_loaded = profile.loads > 1  # then each reading states its payload, and collecting never ends early
         self._queue = StopQueue(self.work)
-        self._mover = Mover(profile, self.cell, self.bodies, self.reaction, self._emit)
-        self._supervisor = CellSupervisor(
-            self.cell,
-            self.control,
-            self.reaction,
-            self._settings.suspend,
-            self._reconnect_tracker,
-            self._record,
-            self._emit,
-            self._after_resume,
-        )
-        self._measurement = SmrMeasurement(self._mover, self._supervisor, self._settings.repeat, self._tracker_ready)
+        self._supervisor = CellSupervisor(self.mover, self._record, self._emit, self._after_resume)
         self._references = References(
             self.run,
             self.number,
-            self._measurement,
             self._supervisor,
             self._suspect,
             self.accept_drift,
             other_loads(self.run.profile, profile),
         )
-        self._air = None if self.cell.air is None else AirTemperature(self.cell.air, self._log, self._emit)
+        self._air = None if cell.air is None else AirTemperature(cell.air, self._log, self._emit)
         stored = {name: self.run.readings(name) for name in self.work.route.q}
         if self.work.again:  # leave out the stops to be measured again: the model judges them anew
             stored = {name: its.take(~np.isin(its.configuration, self.work.stops)) for name, its in stored.items()}
-        self._model = LiveModel(profile, self.work.route.q, stored, self._log)
-        driver = SweepDriver(
-            self.cell, self._mover, self.bodies, self.reaction, self.control, 1.0 / self._settings.motion_rate
-        )
-        self._sweeps = Sweeps(self.run, driver, self.number, self._note, self._emit)
-        self._travel = Travel(profile, self._mover, self.work)
+        self.model = LiveModel(profile, self.work.route.q, stored, self._log)
+        self._sweeps = Sweeps(self.run, self.mover, self.number, self._note, self._emit)
+        self._travel = Travel(self.mover, self.work)
         self._forbidden: set[int] = set()
         self._warm_until_s: float | None = None
         self._missed = 0
@@ -179,20 +152,20 @@ class CollectSession:
             except CellStopped as stopped:
                 self._supervisor.recover(stopped)
             except TrackerError as error:
-                self.reaction.trigger(StopCause("tracker", str(error)))
-                self._supervisor.recover(CellStopped(self.reaction.cause or StopCause("tracker", str(error))))
+                self.mover.reaction.trigger(StopCause("tracker", str(error)))
+                self._supervisor.recover(CellStopped(self.mover.reaction.cause or StopCause("tracker", str(error))))
 
     def _after_resume(self) -> None:
         """Restart slowly and without suspicions: a person may have been in the cell, or changed something in it."""
         self._travel.slow_again()
-        self._model.forget_suspicions()
+        self.model.forget_suspicions()
 
     def _visit_next(self) -> bool:
         """Move to the next stop, measure and store; return whether the requested accuracy is reached."""
         stop = self._queue.next()
         assert stop is not None
         self._wait_for_air(stop)
-        self._mover.stop = stop
+        self.mover.stop = stop
         try:
             states = self._travel.to_stop(stop)
         except MotionRefused as error:
@@ -200,7 +173,7 @@ class CollectSession:
                 self._leave_out({stop}, str(error))
             return False
         finally:
-            self._mover.stop = None
+            self.mover.stop = None
         rows, outcomes = self._measure(stop, states)
         self._store(stop, rows, outcomes)
         self._queue.done()
@@ -210,7 +183,7 @@ class CollectSession:
         self._until_reference -= 1
         self._report(stop, rows)
         self._check_missed(rows)
-        return not (self.work.again or self._is_loaded) and self._model.accurate_enough(self._queue.finished)
+        return not (self.work.again or self._is_loaded) and self.model.accurate_enough(self._queue.finished)
 
     def _sweep(self, stop: int) -> None:
         """Record the remaining sweeps about a stop, with the arms at rest there; skip stops that were left out."""
@@ -218,7 +191,7 @@ class CollectSession:
             return
         at = self.work.route.targets(stop)
         try:
-            if not self._mover.rests_at(at):
+            if not self.mover.rests_at(at):
                 self._travel.to_stop(stop)
             recorded = self._sweeps.at_stop(stop, at, self._supervisor.checkpoint)
         except (MotionRefused, TargetLost, WrongTarget) as error:
@@ -228,7 +201,7 @@ class CollectSession:
 
     def _report(self, stop: int, rows: Mapping[str, Readings]) -> None:
         """Refit the running model and report what it shows; log suspicions."""
-        for detail in self._model.add(stop, rows):
+        for detail in self.model.add(stop, rows):
             if isinstance(detail, Suspicion):
                 self._suspect(detail)
             else:
@@ -237,11 +210,6 @@ class CollectSession:
     def _suspect(self, suspicion: Suspicion) -> None:
         self._emit(suspicion)
         self._note(f"after {counted(self._queue.finished, 'stop')}: {suspicion.kind}: {suspicion.text}")
-
-    @property
-    def standard_error_mm(self) -> dict[str, float]:
-        """Standard uncertainty [mm] of a predicted SMR position due to the parameters, by arm."""
-        return self._model.standard_error_mm
 
     def _check_missed(self, rows: Mapping[str, Readings]) -> None:
         """Pause after too many consecutive stops without a reading; raise ``HardwareError`` if nobody attends."""
@@ -257,17 +225,15 @@ class CollectSession:
 
     def _wait_for_tracker(self) -> None:
         """Wait, as long as the profile allows, for a tracker that was not ready when the cell was opened."""
-        if not self.cell.tracker_unmet:
+        if not self.mover.cell.tracker_unmet:
             return
-        text = "; ".join(self.cell.tracker_unmet)
-        if not self._supervisor.suspended("tracker_warm_up", text, self._tracker_ready):
-            self.cell.require_tracker()
+        text = "; ".join(self.mover.cell.tracker_unmet)
+        if not self._supervisor.suspended("tracker_warm_up", text, self._supervisor.tracker_ready):
+            self.mover.cell.require_tracker()
 
     def _leave_out_forbidden_stops(self) -> None:
         """Ask every controller, before anything moves, which stops it forbids; leave those out."""
-        forbidden, errors = forbidden_stops(self.cell, self.work, home_positions(self.run.profile))
-        for name, error in errors.items():
-            raise self._mover.stop_cell(cause_of(name, error))
+        forbidden = self._travel.forbidden_stops()
         self._forbidden = set(forbidden)
         for stop, reason in forbidden.items():
             self._leave_out({stop}, reason)
@@ -276,12 +242,12 @@ class CollectSession:
     def _confirm_first_motion(self) -> None:
         """Let a person confirm the first motion."""
         first = self._queue.next()
-        homes = home_positions(self.run.profile)
+        homes = self.mover.homes
         if self._settings.warm_up > 0.0:
             first = next(iter(self._allowed_stops()), first)
         elif self._settings.reference.every > 0:
-            first = self._reference_stop() if self._mover.rests_at(homes) else None
-        self._mover.confirm_first(homes if first is None else self._travel.first_leg(first), self.confirm)
+            first = self._reference_stop() if self.mover.rests_at(homes) else None
+        self.mover.confirm_first(homes if first is None else self._travel.first_leg(first), self.confirm)
 
     def _allowed_stops(self) -> list[int]:
         """Return the stops that are not stored yet and that no controller forbids."""
@@ -290,11 +256,11 @@ class CollectSession:
     def _warm_up(self) -> None:
         """Exercise the arms along the first planned stops for the profile's warm-up time."""
         if self._warm_until_s is None:
-            self._warm_until_s = self.cell.clock.now_s() + self._settings.warm_up
+            self._warm_until_s = self.mover.cell.clock.now_s() + self._settings.warm_up
         stops = self._allowed_stops()
-        while self.cell.clock.now_s() < self._warm_until_s and stops:
+        while self.mover.cell.clock.now_s() < self._warm_until_s and stops:
             for stop in stops:
-                remaining_s = self._warm_until_s - self.cell.clock.now_s()
+                remaining_s = self._warm_until_s - self.mover.cell.clock.now_s()
                 if remaining_s <= 0.0:
                     break
                 self._emit(note=f"warming up, {remaining_s / 60.0:.0f} min left")
@@ -321,7 +287,7 @@ class CollectSession:
         except MotionRefused as error:
             self._note(f"after {counted(self._queue.finished, 'stop')}: no reference measurements: {error}")
             return
-        began_s = self._begin(self.cell.clock.now_s())
+        began_s = self._begin(self.mover.cell.clock.now_s())
         self._until_reference = 0  # until the measurements are complete: after a halt they are repeated
         positions = {name: state.q for name, state in states.items()}
         report = self._references.check(positions, self._queue.finished, began_s)
@@ -350,7 +316,7 @@ class CollectSession:
     def _end_at_home(self) -> None:
         """Move all arms home."""
         try:
-            self._travel.home_at_once(home_positions(self.run.profile))
+            self._travel.home_at_once()
         except MotionRefused as error:
             self.notes.append(f"the arms stay where they are: {error}")
 
@@ -367,10 +333,10 @@ class CollectSession:
         dwell_s = {name: self.work.dwell_s(stop, name) for name in states}
         for name in sorted(states, key=lambda name: dwell_s[name]):
             if dwell_s[name] > 0.0:
-                self._mover.rest(name, dwell_s[name], self.control)
+                self.mover.rest(name, dwell_s[name])
             self._emit(MeasurementBegun(stop, name))
             try:
-                point = self._measurement.at_arm(name, states[name].q)
+                point = measured_at_arm(self._supervisor, name, states[name].q)
             except (TargetLost, WrongTarget, Unstable) as error:
                 outcomes.append(Outcome(stop, name, "not measured", str(error)))
                 self._emit(PointMissed(stop, name, str(error)))
@@ -385,16 +351,14 @@ class CollectSession:
         self, stop: int, name: str, state: ArmState, point: PointAtRest, temperature_c: float | None
     ) -> Readings:
         """Return the reading of a point just measured; its dwell time lasts until the middle of the averaging."""
-        rested_s, carried = self._mover.rested_s(name), self.profile.arms[name].payload
-        return self._mover.reading(
-            name,
+        carried, payload_kg = self.mover.profile.arms[name].payload, state.payload_kg
+        return reading_of(
             point,
+            self.mover.conditions(name, state, -0.5 * point.averaging_s),
             time_s=point.time_s - self._begin(point.time_s - point.averaging_s),
-            payload_kg=carried.mass if state.payload_kg is None and self._is_loaded else state.payload_kg,
+            payload_kg=carried.mass if payload_kg is None and self._is_loaded else payload_kg,
             payload_center_F=np.array(carried.center_of_mass) if self._is_loaded else None,
             temperature_c=temperature_c,
-            joint_temperature_c=state.joint_temperature_c,
-            dwell_s=None if rested_s is None else max(rested_s - 0.5 * point.averaging_s, 0.0),
             split=self.work.split,
         )
 
@@ -426,8 +390,8 @@ class CollectSession:
     # -- what others hear ----------------------------------------------------------------------------------------------
 
     def _emit(self, detail: Detail | None = None, note: str = "") -> None:
-        self.cell.pulse.beat()
-        self.control.tell("collect", self._queue.finished, self._queue.total, note, detail=detail)
+        self.mover.cell.pulse.beat()
+        self.mover.control.tell("collect", self._queue.finished, self._queue.total, note, detail=detail)
 
     def _record(self, kind: str, reason: str) -> None:
         """Record a request or a suspension in the run; if writing fails, note it: the arms still need attention."""
@@ -452,15 +416,7 @@ class CollectSession:
 
     def _run_time_s(self) -> float | None:
         """Return the time since the run began [s], on the clock of the readings; None before the first measurement."""
-        return None if self.began_s is None else self.cell.clock.now_s() - self.began_s
-
-    def _tracker_ready(self) -> bool:
-        """Connect and prepare the tracker again; return whether it is ready to measure."""
-        return not start_tracker(self.cell.tracker, self.run.profile.tracker.driver)
-
-    def _reconnect_tracker(self) -> None:
-        self.cell.tracker.disconnect()
-        start_tracker(self.cell.tracker, self.run.profile.tracker.driver)
+        return None if self.began_s is None else self.mover.cell.clock.now_s() - self.began_s
 
 
 def collect_run(
@@ -542,8 +498,6 @@ class _Sessions:
     standard_error_mm: Mapping[str, float] = field(default_factory=dict)
     plant: Plant | None = None
     began_s: float | None = None
-    ended_s: float = math.inf
-    """End of the last session on the clock of its cell [s]."""
 
     def collect(self, profile: Profile, work: StopsToCollect) -> End:
         """Collect stops with the load of the profile. Raise as ``collect_run``."""
@@ -564,25 +518,21 @@ class _Sessions:
             ):
                 session = CollectSession(
                     run=run,
-                    profile=profile,
                     work=work,
-                    cell=cell,
-                    bodies=bodies,
-                    reaction=reaction,
-                    control=control,
+                    mover=Mover(profile, cell, bodies, reaction, control),
                     number=number,
                     accept_drift=self.accept_drift,
                     confirm=self.confirm,
                     notes=notes,
-                    began_s=self.began_s if cell.clock.now_s() >= self.ended_s else None,
+                    began_s=self.began_s,
                 )
                 outcome = session.collect()
                 if not run.stops_done():
                     reason = next((one.reason for one in run.outcomes()), "no stop could be visited")
                     raise HardwareError(f"nothing could be measured: {reason}")
                 run.end_session(number, outcome, "")
-            self.began_s, self.ended_s = session.began_s, cell.clock.now_s()
-        self.standard_error_mm = session.standard_error_mm
+            self.began_s = session.began_s
+        self.standard_error_mm = session.model.standard_error_mm
         return outcome
 
 

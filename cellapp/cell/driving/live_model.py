@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -16,7 +16,7 @@ from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import AirReport, StopReport, Suspicion
-from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.kinematics.transforms import Array, twist_columns
 from drivers.sensors.protocol import AirSensor, SensorError
 
 Note = Callable[[str, str], None]
@@ -198,12 +198,13 @@ def _shares() -> Array:
 
 
 _SHARES = _shares()
-_SQUARED_SHARES = _SHARES**2
 _STOPS = np.array([*_STEPS, *_RAMPS])
 _SUDDEN, _SLOW = slice(0, len(_STEPS)), slice(len(_STEPS), None)
-_SLIP_B, _SLIP_A, _SLIP_RAW = slice(0, 3), slice(3, 12), slice(12, 15)
-_MOVE_B, _MOVE_A, _MOVE_RAW = slice(15, 21), slice(21, 57), slice(57, 63)
-_SQUARE, _COUNT, _COLUMNS = 63, 64, 65
+_OFFSET, _MOTION = slice(0, 3), slice(3, 9)
+"""Parameters of a change: an offset of the SMR in the flange frame, and a motion in the tracker frame."""
+_STOP = np.dtype([("normal", "f8", (9, 9)), ("clipped", "f8", 9), ("raw", "f8", 9), ("square", "f8"), ("count", "f8")])
+"""What a stop adds to the normal equations of these parameters: ``clipped`` and ``raw`` are right sides with and
+without clipping, ``square`` is the clipped square of the deviation, ``count`` 1. All are zero without a reading."""
 
 
 @dataclass(frozen=True)
@@ -241,62 +242,94 @@ class _Explanation:
         return self.chi_square - _PARAMETER_COST * self.parameters
 
 
-class _History:
-    """Recent stops of one arm, newest first: normal equations of an offset and of a motion, a row of a table per stop.
+@dataclass(frozen=True, eq=False)
+class _Evidence:
+    """Recent stops of one arm or of several: columns of ``_STOP`` summed over the stops with each pattern's shares.
 
-    Columns: ``b`` (clipped), ``A``, ``b`` (not clipped) of an offset in the flange, the same of a motion in the tracker
-    frame, clipped square of the deviation, 1. A stop without a reading has zeros.
+    ``freedom`` is that of the model's scatter. ``dependence`` is the number of stops with the information of one
+    independent stop.
     """
 
+    sums: Mapping[str, Array]
+    freedom: float
+    dependence: float
+
+    @classmethod
+    def together(cls, each: Sequence[_Evidence]) -> _Evidence:
+        """Return the evidence of several arms together."""
+        sums = {column: np.sum([one.sums[column] for one in each], axis=0) for column in each[0].sums}
+        return cls(sums, min(one.freedom for one in each), max(one.dependence for one in each))
+
+    def change(self, kind: Literal["slip", "move", "drift"], arm: str | None) -> list[_Explanation]:
+        """Return the best offset or motion over the patterns of its kind, as a list of one; empty without readings.
+
+        Patterns with fewer coordinates than twice the parameters are left out: they would explain anything.
+        """
+        rows, which = _SLOW if kind == "drift" else _SUDDEN, _OFFSET if kind == "slip" else _MOTION
+        b, raw = self.sums["clipped"][rows, which], self.sums["raw"][rows, which]
+        parameters = b.shape[1]
+        normal = self.sums["normal"][rows, which, which] + np.eye(parameters) / _LIKELY_CHANGE**2
+        values = np.asarray(np.linalg.solve(normal, np.stack([b, raw], axis=2)), dtype=np.float64)
+        enough = 3.0 * self.sums["count"][rows] >= 2.0 * parameters
+        chi_square = np.where(enough, np.sum(values[:, :, 0] * b, axis=1), 0.0)
+        place = int(np.argmax(chi_square))
+        largest = float(chi_square[place]) / self.dependence
+        if largest <= 0.0:
+            return []
+        chance = float(scipy.special.fdtrc(parameters, self.freedom, largest / parameters))
+        return [_Explanation(kind, arm, largest, parameters, chance, values[place, :, 1], int(_STOPS[rows][place]))]
+
+    def play(self, arm: str | None) -> list[_Explanation]:
+        """Return the best increase of the scatter, as a list of one; empty without readings.
+
+        Squares of correlated stops are hardly correlated, so that the probability needs no allowance for it. The gain
+        is reduced like those of the other patterns, with which it is compared.
+        """
+        coordinates = 3.0 * self.sums["count"][_SUDDEN]
+        ratio = np.maximum(self.sums["square"][_SUDDEN] / np.maximum(coordinates, 1.0), 1.0)
+        gain = coordinates * (ratio - 1.0 - np.log(ratio))
+        place = int(np.argmax(gain))
+        if gain[place] <= 0.0:
+            return []
+        chance = float(scipy.special.fdtrc(coordinates[place], self.freedom, ratio[place]))
+        return [_Explanation("play", arm, float(gain[place]) / self.dependence, 1, chance, np.zeros(0), _STEPS[place])]
+
+
+class _History:
+    """Recent stops of one arm, newest first."""
+
     def __init__(self) -> None:
-        self._table = np.zeros((_HISTORY, _COLUMNS))
-        self.freedom = _LEAST_FREEDOM
+        self.stops = np.zeros(_HISTORY, _STOP)
+        self._freedom = _LEAST_FREEDOM
         self._recent: deque[Array] = deque()
         self._product, self._square = 0.0, 3.0 * _INDEPENDENT_PAIRS
 
-    @property
-    def dependence(self) -> float:
-        """Number of stops with the information of one independent stop: (1 + r) / (1 - r), r the lag-1 correlation."""
-        r = min(max(self._product / self._square, 0.0), _MOST_ALIKE)
-        return (1.0 + r) / (1.0 - r)
-
-    @property
-    def count(self) -> int:
-        """Number of stops with a reading."""
-        return int(self._table[:, _COUNT].sum())
-
-    def clear(self) -> None:
-        """Discard all stops."""
-        self._table[:] = 0.0
-
     def push(self, found: Innovation | None, center_M: Array) -> None:
         """Add a stop; rotations are about ``center_M`` (3,) [m]."""
-        self._table[1:] = self._table[:-1].copy()
-        row = self._table[0]
-        row[:] = 0.0
+        self.stops = np.roll(self.stops, 1)
+        self.stops[0] = 0.0
         if found is None:
             return
         information = np.linalg.inv(found.covariance_M)
         square = float(found.off_M @ information @ found.off_M)
         clip = min(1.0, _CLIP / math.sqrt(max(square, 1e-300)))
-        x, y, z = (found.p_M - center_M).tolist()
-        motion = np.array([[1, 0, 0, 0.0, z, -y], [0, 1, 0, -z, 0.0, x], [0, 0, 1, y, -x, 0.0]])
-        parts = (found.R_M_F, _SLIP_B, _SLIP_A, _SLIP_RAW), (motion, _MOVE_B, _MOVE_A, _MOVE_RAW)
-        for basis, clipped, normal, raw in parts:
-            weighted = basis.T @ information
-            row[raw] = weighted @ found.off_M
-            row[clipped], row[normal] = clip * row[raw], (weighted @ basis).ravel()
-        row[_SQUARE], row[_COUNT] = min(square, _CLIP**2), 1.0
-        self.freedom = found.freedom
+        basis = np.hstack([found.R_M_F, twist_columns(found.p_M[None] - center_M)[0]])
+        weighted = basis.T @ information
+        raw = weighted @ found.off_M
+        self.stops[0] = weighted @ basis, clip * raw, raw, min(square, _CLIP**2), 1.0
+        self._freedom = found.freedom
         self._recent.append(clip * np.linalg.solve(np.linalg.cholesky(found.covariance_M), found.off_M))
         if len(self._recent) > _SETTLED_AFTER:
             first, second = self._recent.popleft(), self._recent[0]
             self._product += float(first @ second)
             self._square += 0.5 * float(first @ first + second @ second)
 
-    def sums(self) -> tuple[Array, Array]:
-        """Return sums of the columns (patterns, columns), weighted by each pattern's shares and by their squares."""
-        return _SHARES @ self._table, _SQUARED_SHARES @ self._table
+    def evidence(self) -> _Evidence:
+        """Return what the stops say: their dependence is (1 + r) / (1 - r), r the correlation of consecutive ones."""
+        sums = {column: np.tensordot(_SHARES, self.stops[column], 1) for column in _STOP.fields or ()}
+        sums["normal"] = np.tensordot(_SHARES**2, self.stops["normal"], 1)
+        r = min(max(self._product / self._square, 0.0), _MOST_ALIKE)
+        return _Evidence(sums, self._freedom, (1.0 + r) / (1.0 - r))
 
 
 class Suspicions:
@@ -323,7 +356,7 @@ class Suspicions:
         self._undecided = 0
         self._stops.clear()
         for history in self._histories.values():
-            history.clear()
+            history.stops[:] = 0.0
 
     def at_stop(self, stop: int, found: Mapping[str, Innovation | None]) -> tuple[Suspicion, ...]:
         """Return the suspicions that a stop raises; ``found`` has each arm's new ``OnlineFit.innovation``, or None."""
@@ -344,23 +377,18 @@ class Suspicions:
 
     def _explanations(self) -> list[_Explanation]:
         """Return the best explanation of each kind, for each arm and for all arms together."""
-        sums = {name: history.sums() for name, history in self._histories.items() if history.count}
-        freedom = {name: history.freedom for name, history in self._histories.items()}
-        depends = {name: history.dependence for name, history in self._histories.items()}
+        each = {name: one.evidence() for name, one in self._histories.items() if one.stops["count"].any()}
         found = []
-        for name in sums:
-            found += _slip(name, *sums[name], freedom[name], depends[name])
-            found += _play(name, sums[name][0], freedom[name], depends[name])
-            if len(sums) > 1:
-                found += _motion("move", name, *sums[name], freedom[name], depends[name])
+        for name, own in each.items():
+            found += own.change("slip", name) + own.play(name)
+            if len(each) > 1:
+                found += own.change("move", name)
         explained = {arm for _, arm in self._quiet}
-        free = [name for name in sums if name not in explained]
-        if len(free) > 1 or (free and len(sums) == 1):
-            linear, squared = (np.sum([sums[name][which] for name in free], axis=0) for which in (0, 1))
-            least, most = min(freedom[name] for name in free), max(depends[name] for name in free)
-            found += _motion("move", None, linear, squared, least, most)
-            found += _motion("drift", None, linear, squared, least, most)
-            found += _play(None, linear, least, most) if len(sums) > 1 else []
+        free = [own for name, own in each.items() if name not in explained]
+        if len(free) > 1 or (free and len(each) == 1):
+            both = _Evidence.together(free)
+            found += both.change("move", None) + both.change("drift", None)
+            found += both.play(None) if len(each) > 1 else []
         return found
 
     def _changes(self, explanations: list[_Explanation]) -> list[Suspicion]:
@@ -413,58 +441,7 @@ class Suspicions:
             if self._quiet[key] >= _CLEARED_AFTER:
                 del self._quiet[key]
                 for name in arms:
-                    self._histories[name].clear()
-
-
-def _slip(arm: str, linear: Array, squared: Array, freedom: float, depends: float) -> list[_Explanation]:
-    """Return the best offset of an arm's SMR in the flange frame, as a list of one; empty without readings."""
-    columns = linear[_SUDDEN, _SLIP_B], squared[_SUDDEN, _SLIP_A], linear[_SUDDEN, _SLIP_RAW]
-    return _best("slip", arm, *columns, linear[_SUDDEN, _COUNT], freedom, depends)
-
-
-def _motion(
-    kind: Literal["move", "drift"], arm: str | None, linear: Array, squared: Array, freedom: float, depends: float
-) -> list[_Explanation]:
-    """Return the best motion in the tracker frame, sudden or slow, as a list of one; empty without readings."""
-    rows = _SUDDEN if kind == "move" else _SLOW
-    columns = linear[rows, _MOVE_B], squared[rows, _MOVE_A], linear[rows, _MOVE_RAW]
-    return _best(kind, arm, *columns, linear[rows, _COUNT], freedom, depends)
-
-
-def _best(
-    kind: ChangeKind, arm: str | None, b: Array, A: Array, raw: Array, count: Array, freedom: float, depends: float
-) -> list[_Explanation]:
-    """Return the best of the patterns, as a list, from their normal equations b (patterns, p) and A (patterns, p p).
-
-    Patterns with fewer coordinates than twice the parameters are left out: they would explain anything.
-    """
-    parameters = b.shape[1]
-    normal = A.reshape(-1, parameters, parameters) + np.eye(parameters) / _LIKELY_CHANGE**2
-    values = np.asarray(np.linalg.solve(normal, np.stack([b, raw], axis=2)), dtype=np.float64)
-    chi_square = np.where(3.0 * count >= 2.0 * parameters, np.sum(values[:, :, 0] * b, axis=1), 0.0)
-    place = int(np.argmax(chi_square))
-    largest = float(chi_square[place]) / depends
-    if largest <= 0.0:
-        return []
-    chance = float(scipy.special.fdtrc(parameters, freedom, largest / parameters))
-    stops = int((_STOPS[_SLOW] if kind == "drift" else _STOPS[_SUDDEN])[place])
-    return [_Explanation(kind, arm, largest, parameters, chance, values[place, :, 1], stops)]
-
-
-def _play(arm: str | None, linear: Array, freedom: float, depends: float) -> list[_Explanation]:
-    """Return the best increase of the scatter, as a list of one; empty without readings.
-
-    Squares of correlated stops are hardly correlated, so that the probability needs no allowance for it. The gain is
-    reduced like those of the other patterns, with which it is compared.
-    """
-    coordinates = 3.0 * linear[_SUDDEN, _COUNT]
-    ratio = np.maximum(linear[_SUDDEN, _SQUARE] / np.maximum(coordinates, 1.0), 1.0)
-    gain = coordinates * (ratio - 1.0 - np.log(ratio))
-    place = int(np.argmax(gain))
-    if gain[place] <= 0.0:
-        return []
-    chance = float(scipy.special.fdtrc(coordinates[place], freedom, ratio[place]))
-    return [_Explanation("play", arm, float(gain[place]) / depends, 1, chance, np.zeros(0), _STEPS[place])]
+                    self._histories[name].stops[:] = 0.0
 
 
 def _wrong_smrs(stop: int, found: Mapping[str, Innovation]) -> list[Suspicion]:

@@ -14,9 +14,9 @@ from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.measuring import APART_M, MISSED, FoundPoint, SmrSearch
 from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover, Vector
 from cellapp.cell.driving.supervision import moving_cell
-from cellapp.cell.driving.target_visit import Driver
-from cellapp.cell.safety.cell_bodies import home_positions
-from cellapp.cell.safety.gate import CellBodies, clear_stops, refuse_motion, visible
+from cellapp.cell.driving.target_visit import drive_to
+from cellapp.cell.safety.gate import refuse_motion, visible
+from cellapp.cell.targets.invert import clear_with_others
 from cellapp.estimation.calibration.station_location import ArmPoints, StationFit, fit_station
 from cellapp.ground.control import JobControl
 from cellapp.ground.counting import counted
@@ -45,16 +45,17 @@ class LocatingStops:
     ``candidates``: arm -> (n, N) [rad], joint positions where the model is known: those of its readings.
     """
 
-    profile: Profile
+    mover: Mover
     model: CellModel
-    bodies: CellBodies
     candidates: Mapping[str, Array]
     _tried: dict[str, set[int]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self._homes = home_positions(self.profile)
+        self._homes, self._bodies = self.mover.homes, self.mover.bodies
         self.candidates = {name: _thinned(q) for name, q in self.candidates.items()}
-        self._clear = {name: self._clear_ones(name, q) for name, q in self.candidates.items()}
+        self._clear = {
+            name: clear_with_others(self._bodies, self._homes, {name: q}) for name, q in self.candidates.items()
+        }
         self._information = np.diag(_KNOWN_BEFORE)
 
     def best(self, name: str, T_new_old: Array) -> Array | None:
@@ -72,7 +73,7 @@ class LocatingStops:
             if not np.isfinite(gains[row]):
                 return None
             tried.add(row)
-            if not refuse_motion(self.bodies, self._homes, {**self._homes, name: q[row]}):
+            if not refuse_motion(self._bodies, self._homes, {**self._homes, name: q[row]}):
                 return np.asarray(q[row])
         return None
 
@@ -87,16 +88,12 @@ class LocatingStops:
         covariances = np.linalg.inv(self._information + _information(model, name, self.candidates[name]))
         return np.asarray(np.einsum("nij,ji->n", covariances, mean))
 
-    def _clear_ones(self, name: str, q: Array) -> np.ndarray:
-        others = {other: np.tile(home, (len(q), 1)) for other, home in self._homes.items() if other != name}
-        return clear_stops(self.bodies, {name: q, **others})
-
     def _seen(self, name: str, model: CellModel) -> np.ndarray:
         q = self.candidates[name]
-        assert self.bodies.field is not None
-        T_C_B = self.bodies.arms[name].geometry.T_M_B()
+        assert self._bodies.field is not None
+        T_C_B = self._bodies.arms[name].geometry.T_M_B()
         T_C_M = T_C_B @ np.linalg.inv(model.arms[name].geometry.T_M_B())
-        bodies = replace(self.bodies, field=replace(self.bodies.field, T_C_M=T_C_M))
+        bodies = replace(self._bodies, field=replace(self._bodies.field, T_C_M=T_C_M))
         others = {other: np.tile(home, (len(q), 1)) for other, home in self._homes.items() if other != name}
         seen = visible(bodies, name, q, others)
         p_M = model.predict(name, q)
@@ -172,17 +169,17 @@ def locate_station(
         On request; the arms have been braked.
     """
     profile, model = task.profile, task.model
-    with moving_cell(profile, model, control, confirm=confirm, opened=opened, slow_visits=None) as moving:
-        mover = moving.mover
-        stops = LocatingStops(profile, model, moving.bodies, task.candidates)
-        search = SmrSearch(profile, model, mover, task.rough_T, task.excess_m, _REPEATS, moving.hold)
-        measuring = _Measuring(task, mover, stops, search, moving.hold, control)
+    with moving_cell(profile, model, control, confirm=confirm, opened=opened, slow_visits=None) as mover:
+        stops = LocatingStops(mover, model, task.candidates)
+        search = SmrSearch(model, mover, task.rough_T, task.excess_m, _REPEATS)
+        measuring = _Measuring(mover, stops, search)
         count, remainder = divmod(task.points, len(task.candidates))  # the first arms take the remainder
         measuring.measure({name: count + (k < remainder) for k, name in enumerate(task.candidates)})
-        fit = measuring.fit()
+        points = search.points()
+        fit = fit_station(model, points, search.T_new_old, excess_m=task.excess_m, seed=(profile.seed,))
         mover.go_home()
     control.tell("locate", len(measuring.found), len(measuring.found), "done")
-    return LocatedStation(tuple(measuring.found), measuring.search.points(), fit, tuple(measuring.notes))
+    return LocatedStation(tuple(measuring.found), points, fit, tuple(measuring.notes))
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
@@ -190,17 +187,11 @@ def locate_station(
 
 @dataclass(eq=False)
 class _Measuring:
-    task: LocateTask
     mover: Mover
     stops: LocatingStops
     search: SmrSearch
-    checkpoint: Callable[[], None]
-    control: JobControl
     notes: list[str] = field(default_factory=list)
     _missed: int = 0
-
-    def __post_init__(self) -> None:
-        self.driver = Driver(self.mover, home_positions(self.task.profile))
 
     @property
     def found(self) -> list[FoundPoint]:
@@ -217,25 +208,15 @@ class _Measuring:
         if len(self.found) < total:
             self.notes.append(f"{len(self.found)} of {counted(total, 'point')} could be measured")
 
-    def fit(self) -> StationFit:
-        """Fit the station to the points alone. Raise ``InputError`` if they do not determine it."""
-        return fit_station(
-            self.task.model,
-            self.search.points(),
-            self.search.T_new_old,
-            excess_m=self.task.excess_m,
-            seed=(self.task.profile.seed,),
-        )
-
     def _measure_arm(self, name: str, count: int, total: int) -> None:
         """Measure ``count`` points of one arm, as long as there are candidates that the tracker should see."""
         while count > 0:
-            self.checkpoint()
+            self.mover.hold()
             q = self.stops.best(name, self.search.T_new_old)
             if q is None:
                 self.notes.append(f"arm {name}: no further joint positions are in the tracker's sight and within reach")
                 return
-            self.control.tell("locate", len(self.found), total, f"arm {name}")
+            self.mover.control.tell("locate", len(self.found), total, f"arm {name}")
             if self._visit(name, q):
                 count -= 1
 
@@ -260,7 +241,7 @@ class _Measuring:
     def _go(self, name: str, q: Vector) -> ArmState:
         """Move one arm, the others at home, with a short last motion: effects that depend on it are known for those."""
         here = self.mover.positions()[name]
-        return self.driver.to([name], lambda name, start: q, {name: np.sign(q - here)})[name]
+        return drive_to(self.mover, [name], lambda name, start: q, {name: np.sign(q - here)})[name]
 
     def _lost_words(self, name: str) -> str:
         tried = f"{self._missed} SMRs in a row were not found, the last one of arm {name}"

@@ -10,7 +10,7 @@ SMR that is found improves the station, so that the next ones are found at once.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import product
@@ -25,7 +25,6 @@ from cellapp.cell.run import ReferenceRow, RunFile
 from cellapp.estimation.calibration.station_location import ArmPoints, RoughStation, fit_station, predicted_points
 from cellapp.ground.errors import HardwareError
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.sections import Repeat
 from cellapp.ground.progress import ReferenceReport, Suspicion
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.transforms import Array, mean_rotation, quaternions_of, rotations_of, twist_columns
@@ -33,69 +32,53 @@ from cellapp.robot.model import CellModel
 from cellapp.robot.model.model import relocated
 from cellapp.robot.model.nominal import pose_matrix
 from drivers.arms.protocol import ArmState
-from drivers.trackers.protocol import NotReady, TargetLost, TrackerError, Unstable, WrongTarget
+from drivers.trackers.protocol import NotReady, TargetLost, Unstable, WrongTarget
 
 Measure = Callable[[], PointAtRest]
 
 _MISSED = (TargetLost, WrongTarget, Unstable)
 
 
-@dataclass(frozen=True)
-class SmrMeasurement:
-    """Measures SMRs with the repeats and waits of a profile."""
+def measured_at_arm(supervisor: CellSupervisor, name: str, q: Vector) -> PointAtRest:
+    """Measure the SMR of an arm at rest at ``q`` (N,) [rad], with the repeats and waits of the profile.
 
-    mover: Mover
-    supervisor: CellSupervisor
-    repeat: Repeat
-    tracker_ready: Callable[[], bool]
-    """Callback that connects and prepares the tracker again; returns whether it is ready then."""
+    Raise as ``Mover.measure``.
+    """
+    return _precise(supervisor, f"arm {name}", lambda: supervisor.mover.measure(name, q))
 
-    def at_arm(self, name: str, q: Vector) -> PointAtRest:
-        """Measure the SMR of an arm at rest at ``q`` (N,) [rad]. Raise as ``Mover.measure``."""
-        return self._precise(f"arm {name}", lambda: self.mover.measure(name, q))
 
-    def at_nest(self, name: str, expected_M: Vector) -> PointAtRest:
-        """Measure the SMR in a nest near ``expected_M`` (3,) [m]. Raise as ``Mover.measure``."""
-        return self._precise(f"nest {name}", lambda: self.mover.measure_at(expected_M, f"nest {name}"))
+def _precise(supervisor: CellSupervisor, what: str, measure: Measure) -> PointAtRest:
+    """Repeat until the standard error of the mean is small enough, or the profile's maximum is reached."""
+    points, repeat = [_patient(supervisor, what, measure)], supervisor.mover.profile.collection.repeat
+    while repeat.precision is not None and len(points) < repeat.times:
+        points.append(_patient(supervisor, what, measure))
+        deviation = np.std([point.p_M for point in points], axis=0, ddof=1) / np.sqrt(len(points))
+        if deviation.max() <= repeat.precision:
+            break
+    return mean_point(points)
 
-    def _precise(self, what: str, measure: Measure) -> PointAtRest:
-        """Repeat until the standard error of the mean is small enough, or the profile's maximum is reached."""
-        first = self._patient(what, measure)
-        if self.repeat.precision is None:
-            return first
-        points = [first]
-        while len(points) < self.repeat.times:
-            points.append(self._patient(what, measure))
-            deviation = np.std([point.p_M for point in points], axis=0, ddof=1) / np.sqrt(len(points))
-            if deviation.max() <= self.repeat.precision:
-                break
-        return mean_point(points)
 
-    def _patient(self, what: str, measure: Measure) -> PointAtRest:
-        """Measure; if the SMR is missed or the tracker is not ready, wait as the profile allows and try again."""
-        while True:
-            try:
-                return measure()
-            except NotReady as error:
-                if not self.supervisor.suspended("tracker_warm_up", str(error), self.tracker_ready):
-                    raise HardwareError(f"{what}: {error}") from error
-            except _MISSED as error:
-                found = self._wait_for_target(what, error, measure)
-                if found is None:
-                    raise
-                return found
+def _patient(supervisor: CellSupervisor, what: str, measure: Measure) -> PointAtRest:
+    """Measure; if the SMR is missed or the tracker is not ready, wait as the profile allows and try again."""
+    found: list[PointAtRest] = []
 
-    def _wait_for_target(self, what: str, error: TrackerError, measure: Measure) -> PointAtRest | None:
-        found: list[PointAtRest] = []
+    def ready() -> bool:
+        try:
+            found.append(measure())
+        except (*_MISSED, NotReady):
+            return False
+        return True
 
-        def ready() -> bool:
-            try:
-                found.append(measure())
-            except (*_MISSED, NotReady):
-                return False
-            return True
-
-        return found[0] if self.supervisor.suspended("target", f"{what}: {error}", ready) else None
+    while True:
+        try:
+            return measure()
+        except NotReady as error:
+            if not supervisor.suspended("tracker_warm_up", str(error), supervisor.tracker_ready):
+                raise HardwareError(f"{what}: {error}") from error
+        except _MISSED as error:
+            if not supervisor.suspended("target", f"{what}: {error}", ready):
+                raise
+            return found[0]
 
 
 def mean_point(points: list[PointAtRest]) -> PointAtRest:
@@ -146,7 +129,6 @@ class References:
 
     run: RunFile
     session: int
-    measurement: SmrMeasurement
     supervisor: CellSupervisor
     suspect: Callable[[Suspicion], None]
     accept_drift: bool = False
@@ -154,9 +136,9 @@ class References:
     """Reference -> what its arm carries, in words, if that is not the first load. Such references are compared
     separately: an arm that sags more under another load does not drift."""
     _first_M: dict[str, Vector] = field(default_factory=dict)
+    _last_M: dict[str, Vector] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self._watch = ReferenceWatch(self.run.profile.collection.reference.drift)
         if not self.accept_drift:
             for row in self.run.references():
                 self._first_M.setdefault(row.name, row.p_M)
@@ -196,10 +178,11 @@ class References:
         return latest[0]
 
     def _measured(self, states: Mapping[str, Vector], stops_done: int, began_s: float) -> ReferenceReport:
-        points = self._points(states)
-        arms = [f"arm {name}" for name in states]
-        for suspicion in self._watch.at_reference({name: point.p_M for name, point in points.items()}, arms):
+        points, limit_m = self._points(states), self.run.profile.collection.reference.drift
+        now_M = {name: point.p_M for name, point in points.items()}
+        for suspicion in reference_jumps(self._last_M, now_M, limit_m):
             self.suspect(suspicion)
+        self._last_M |= now_M
         drift_mm = {}
         for reference, point in points.items():
             name = reference + self.carried.get(reference, "")
@@ -207,15 +190,16 @@ class References:
             drift_mm[name] = float(np.linalg.norm(point.p_M - first_M)) * 1e3
             row = ReferenceRow(name, stops_done, point.time_s - began_s, point.p_M, self.session)
             self.run.add_reference(row)
-        return ReferenceReport(drift_mm, self.run.profile.collection.reference.drift * 1e3)
+        return ReferenceReport(drift_mm, limit_m * 1e3)
 
     def _points(self, states: Mapping[str, Vector]) -> dict[str, PointAtRest]:
         """Measure the arms at ``states`` and the nests; record those that cannot be measured."""
         measure: dict[str, Measure] = {
-            f"arm {name}": partial(self.measurement.at_arm, name, q) for name, q in states.items()
+            f"arm {name}": partial(measured_at_arm, self.supervisor, name, q) for name, q in states.items()
         }
         for name, expected_M in nests_in_M(self.run.profile).items():
-            measure[f"nest {name}"] = partial(self.measurement.at_nest, name, expected_M)
+            at_nest = partial(self.supervisor.mover.measure_at, expected_M, f"nest {name}")
+            measure[f"nest {name}"] = partial(_precise, self.supervisor, f"nest {name}", at_nest)
         points: dict[str, PointAtRest] = {}
         for name, at_reference in measure.items():
             try:
@@ -225,37 +209,23 @@ class References:
         return points
 
 
-# -- Detect suspicions from reference measurements: fixed nests, and the arms at the reference stop -------------------
+def reference_jumps(before_M: Mapping[str, Array], now_M: Mapping[str, Array], limit_m: float) -> tuple[Suspicion, ...]:
+    """Return suspicions from the references' positions (3,) [m] the last time and now: by name, "arm NAME" or nests."""
+    moved = {name: float(np.linalg.norm(p_M - before_M[name])) for name, p_M in now_M.items() if name in before_M}
+    jumps = {name: size for name, size in moved.items() if size > limit_m}
+    if jumps and len(jumps) == len(moved) and (len(jumps) > 1 or not any(map(_is_arm, jumps))):
+        size = f"{max(jumps.values()) * 1e3:.2f} mm"
+        text = f"all references moved by {size} since the last time: was the tracker touched?"
+        return (Suspicion("tracker moved", text),)
+    return tuple(_jump(name, size) for name, size in jumps.items())
 
 
-class ReferenceWatch:
-    """Judges reference measurements, each against the previous one: a jump. ``References`` suspends on a drift.
-
-    Parameters
-    ----------
-    limit_m : float
-        Largest accepted displacement [m].
-    """
-
-    def __init__(self, limit_m: float) -> None:
-        self._limit_m = limit_m
-        self._last: dict[str, Array] = {}
-
-    def at_reference(self, points_M: Mapping[str, Array], arms: Collection[str]) -> tuple[Suspicion, ...]:
-        """Return suspicions from the references' positions (3,) [m]; names in ``arms`` are arms, the others nests."""
-        known = [name for name in points_M if name in self._last]
-        moved = {name: float(np.linalg.norm(points_M[name] - self._last[name])) for name in known}
-        jumps = {name: size for name, size in moved.items() if size > self._limit_m}
-        self._last.update(points_M)
-        if jumps and len(jumps) == len(known) and (len(jumps) > 1 or not jumps.keys() & set(arms)):
-            size = f"{max(jumps.values()) * 1e3:.2f} mm"
-            text = f"all references moved by {size} since the last time: was the tracker touched?"
-            return (Suspicion("tracker moved", text),)
-        return tuple(_jump(name, size, arms) for name, size in jumps.items())
+def _is_arm(reference: str) -> bool:
+    return reference.startswith("arm ")
 
 
-def _jump(name: str, size: float, arms: Collection[str]) -> Suspicion:
-    if name in arms:
+def _jump(name: str, size: float) -> Suspicion:
+    if _is_arm(name):
         text = (
             f"{name}: its SMR at the reference stop moved by {size * 1e3:.2f} mm since the last time: check that it"
             " sits firmly"
@@ -308,16 +278,14 @@ class SmrSearch:
     """Searches for SMRs and measures each ``repeats`` times.
 
     ``model`` is in the tracker frame of its calibration; ``rough_T`` (4, 4) maps that frame into a guess of the present
-    one. ``excess_m`` is as in ``fit_station``. ``checkpoint`` is called before each measurement; it may wait.
+    one. ``excess_m`` is as in ``fit_station``. Before each measurement it waits while a person pauses.
     """
 
-    profile: Profile
     model: CellModel
     mover: Mover
     rough_T: Array
     excess_m: Mapping[str, float]
     repeats: int
-    checkpoint: Callable[[], None]
     found: list[FoundPoint] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -337,7 +305,7 @@ class SmrSearch:
     def measure(self, name: str, state: ArmState) -> FoundPoint | str:
         """Measure the SMR of an arm at rest at or near its prediction; return why if it is not found.
 
-        A point that is found improves the station. Raise as ``Mover.measure`` and ``checkpoint``.
+        A point that is found improves the station. Raise as ``Mover.measure`` and ``Mover.hold``.
         """
         found = self._search(name, state)
         if isinstance(found, FoundPoint):
@@ -355,14 +323,14 @@ class SmrSearch:
         return float(np.clip(_REACH * sigma_m, *_REACH_M))
 
     def _search(self, name: str, state: ArmState) -> FoundPoint | str:
-        conditions = self.mover.conditions(name, state, 0.5 * self.profile.tracker.averaging)
+        conditions = self.mover.conditions(name, state, 0.5 * self.mover.profile.tracker.averaging)
         others = {other: q for other, q in self.mover.positions().items() if other != name}
         # predict the SMR of the arm with the station so far, (3,) [m]
         own = ArmPoints(state.q[None], np.zeros((1, 3)), np.zeros((1, 3, 3)), conditions, _only(others))
         expected = np.asarray(predicted_points(relocated(self.model, self.T_new_old), {name: own})[name][0])
         reach_m, problem, at = self._reach_m(expected), "", (name, state.q)
         for offset in lattice(reach_m):
-            self.checkpoint()
+            self.mover.hold()
             try:
                 point = self.mover.measure_at(expected + offset, f"arm {name}", reach_m + _LATTICE_M, 1, at)
                 again = (self.mover.measure_at(point.p_M, f"arm {name}", at=at) for _ in range(self.repeats - 1))

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Self
+from itertools import product
+from typing import Any, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,9 +29,10 @@ from cellapp.cell.safety.gate import (
     refuse_paths,
 )
 from cellapp.estimation.readings import Readings, coordinate_uncertainty
+from cellapp.ground.control import JobControl
 from cellapp.ground.errors import CellappError, InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import Detail, JobToken, LogReport, MotionBegun, MotionEnded, PointMeasured, SweepLive
+from cellapp.ground.progress import Detail, LogReport, MotionBegun, MotionEnded, PointMeasured, SweepLive
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.model.nominal import joint_rates
 from drivers.arms.path_checks import driven
@@ -70,13 +73,18 @@ def point_measured(stop: int, arm: str, reading: Readings) -> PointMeasured:
 
 
 Vector = NDArray[np.float64]
+Targets = Mapping[str, Vector]
+"""Arm -> joint positions (N,) [rad]."""
+Way = Sequence[Targets]
+"""Consecutive motions, each with the targets of the arms that move."""
+T = TypeVar("T")
 
 _MOVE_ALLOWANCE_S = 10.0
 """Time for start and settling of a motion [s], added to twice its ideal duration to get the timeout."""
 _ROUND_S = 1.0
 """Longest wait for one arm [s] before its speed slider is read again: a lowered slider makes a motion longer."""
 _LOOK_S = 0.5
-"""Replaces ``_ROUND_S`` [s] if a ``look`` callback is given."""
+"""Replaces ``_ROUND_S`` [s] while an arm follows a path: those who look on hear how far it is."""
 _LEAST_FRACTION = 0.01
 """Lower fractions of the speed slider count as 0: the motion would take a hundred times as long."""
 _STANDSTILL_S = 60.0
@@ -87,6 +95,8 @@ _AT_TARGET_RAD = 1e-3
 """Tolerance for having arrived [rad]: well above a joint's repeatability, well below any planned step."""
 _MEASURING_TRIES = 2
 """Tries of a measurement: if somebody crossed the beam, it is usually free at the second try."""
+_POLL_S = 0.1
+"""Polling period of a paused job [s]; a stop does not wait for it, it brakes in the person's thread."""
 _TIMES_MOVED = 3
 """Consecutive measurements during which an arm moves that are a fault of the arm."""
 
@@ -136,6 +146,17 @@ class PointAtRest(Point):
         return cls(**vars(point), q=mean, q_spread=float(np.ptp(joints.q, axis=0).max()))
 
 
+def reading_of(point: PointAtRest, conditions: MeasurementConditions, **more: Any) -> Readings:
+    """Return the reading of a point under the conditions of its arm, one row; ``more`` are further columns."""
+    columns = {
+        name: getattr(point, name) for name in ("q", "q_spread", "p_M", "covariance_M", "quaternion_M", "sigma_rad")
+    }
+    for name, rows in vars(conditions).items():
+        if isinstance(rows, np.ndarray):
+            columns["joint_temperature_c" if name == "joints_c" else name] = rows[0]
+    return Readings.one(**(columns | more))
+
+
 class MotionRefused(CellappError):
     """The gate refused a motion; nothing has moved."""
 
@@ -143,7 +164,7 @@ class MotionRefused(CellappError):
 
 
 class Mover:
-    """Moves the arms of one open cell, records the last motion of each joint, and measures.
+    """Moves the arms of one open cell for a job, records the last motion of each joint, and measures.
 
     Every motion starts from the joint positions that the controllers report. Any fault triggers ``reaction``; nothing
     moves while that is latched. ``emit`` is called at the beginning and at the end of every motion.
@@ -155,32 +176,40 @@ class Mover:
         cell: Cell,
         bodies: CellBodies,
         reaction: StopReaction,
+        control: JobControl,
         emit: Callable[[Detail], None] = lambda detail: None,
     ) -> None:
-        self._profile, self._cell, self._bodies, self._reaction = profile, cell, bodies, reaction
+        self.profile, self.cell, self.bodies, self.reaction, self.control = profile, cell, bodies, reaction, control
+        self.homes: Targets = home_positions(profile)
         self.carried = {name: arm.payload for name, arm in profile.arms.items()}
         """Payload of each arm according to the profile."""
-        self._emit = emit
-        self._approach = {name: np.zeros(len(arm.type.joints), dtype=np.int8) for name, arm in profile.arms.items()}
+        self.emit = emit
+        self.approach = {name: np.zeros(len(arm.type.joints), dtype=np.int8) for name, arm in profile.arms.items()}
+        """Arm -> sign of each joint's last motion (N,); 0 if the joint has not moved yet."""
         self._step: dict[str, Vector] = {}
+        """Arm -> each joint's last motion (N,) [rad], signed; without arms that have not moved yet."""
         self._rest_since_s: dict[str, float] = {}
         self._rested_at: dict[str, Vector] = {}
-        self._departure: dict[str, Vector] | None = None
-        self.speed = 1.0
-        """Fraction of the profile's speed for the next motions."""
+        self.departure: Targets | None = None
+        """Joint positions where the last motion began: from an interrupted motion the gate has checked the straight way
+        back to them; from a path it has not."""
+        self.full_speed = self.speed = 1.0
+        """Fractions of the profile's speed: for motions that need not be slow, and for the next motions."""
+        self.began_s = cell.clock.now_s()
+        """When the first motion was confirmed, on the cell's clock [s]."""
         self.stop: int | None = None
         """Stop to which the next motions lead; None for other motions."""
 
     def slow_start(self, visited: int | None = None) -> None:
         """Set the slow speed of real arms if fewer stops are ``visited`` than the profile asks for; None: always."""
-        slow = self._profile.collection.slow_start
-        slowly = self._profile.moves_hardware and (visited is None or visited < slow.stops)
-        self.speed = slow.speed if slowly else 1.0
+        slow = self.profile.collection.slow_start
+        slowly = self.profile.moves_hardware and (visited is None or visited < slow.stops)
+        self.speed = min(slow.speed, self.full_speed) if slowly else self.full_speed
 
     def positions(self) -> dict[str, Vector]:
         """Return the joint positions (N,) of all arms [rad]. Raise ``CellStopped`` if one is not ready or moves."""
         positions = {}
-        for name in self._cell.arms:
+        for name in self.cell.arms:
             state = self._state(name)
             if not state.ready or state.moving:
                 raise self.stop_cell(
@@ -199,19 +228,12 @@ class Mover:
         q = self.positions()
         return all(bool(np.abs(q[name] - target).max() <= _AT_TARGET_RAD) for name, target in targets.items())
 
-    def departure(self) -> dict[str, Vector] | None:
-        """Return the joint positions where the last motion began, name -> (N,) [rad].
-
-        From an interrupted motion the gate has checked the straight way back to them; from a path it has not.
-        """
-        return self._departure
-
     def refusal(self, *legs: Mapping[str, Vector]) -> str:
         """Return why the gate refuses the legs (each with targets) one after the other; empty if it accepts them."""
         start = self.positions()
         for targets in legs:
             end = {**start, **targets}
-            refusal = self._cell.gate(self._bodies, start, end)
+            refusal = self.cell.gate(self.bodies, start, end)
             if refusal:
                 return refusal
             start = end
@@ -222,12 +244,36 @@ class Mover:
 
         Raise ``InputError`` if the person does not allow it; nothing has moved.
         """
-        if confirm is None:
-            return
-        start = self.positions()
-        first = {**start, **(home_positions(self._profile) if self.refusal(targets) else targets)}
-        if not confirm(start, first):
-            raise InputError("the first motion was not confirmed; nothing was moved")
+        if confirm is not None:
+            start = self.positions()
+            first = {**start, **(self.homes if self.refusal(targets) else targets)}
+            if not confirm(start, first):
+                raise InputError("the first motion was not confirmed; nothing was moved")
+        self.began_s = self.cell.clock.now_s()
+
+    def hold(self) -> None:
+        """Wait, with the arms at rest, while a person pauses. Raise ``CellStopped``, ``Stopped`` or ``Aborted``."""
+        self.check()
+        while self.control.request in ("pause", "stop"):
+            self.attend()
+            self.check()
+
+    def check(self) -> None:
+        """Raise ``CellStopped`` if the cell was stopped, ``Stopped`` or ``Aborted`` if the job has to end."""
+        self.reaction.check()  # first, so that the cause of a halt is recorded
+        self.control.check()
+
+    def attend(self) -> None:
+        """Wait one polling period for a person, in real time; the clock of a simulated cell advances too."""
+        self.cell.pulse.beat()
+        self.control.wait_while("pause", "stop", timeout_s=_POLL_S)
+        self.cell.clock.wait(_POLL_S, lambda duration_s: None)
+
+    def wait(self, duration_s: float) -> None:
+        """Let time pass with the arms at rest. Raise as ``check``, as soon as the cell is stopped."""
+        with self.cell.pulse.waiting():
+            self.cell.clock.wait(duration_s, self.control.wait)
+        self.check()
 
     def move(self, targets: Mapping[str, Vector]) -> dict[str, ArmState]:
         """Move to ``targets`` (name -> (N,) [rad]), all arms at once, and wait until they are at rest.
@@ -240,36 +286,62 @@ class Mover:
             If an arm refuses, faults or does not arrive, or a person stopped the cell; all arms brake.
         """
         start = self.positions()
-        refusal = self._cell.gate(self._bodies, start, {**start, **targets})
+        refusal = self.cell.gate(self.bodies, start, {**start, **targets})
         if refusal:
             raise MotionRefused(f"refused to move: {refusal}")
-        self._record_foreign_steps(start)
-        self._departure = start
-        with self._cell.watch_tracker(self._cell.tracker, self._tracker_died):
-            self._confirm_links()
-            states = self._drive(start, targets)
+        allowed = {name: joint_rates(self.profile.arms[name], self.speed) for name in targets}
+        expected_s = max(motion_s(q - start[name], *allowed[name]) for name, q in targets.items())
+        with self._moving(start, targets, expected_s):
+            for name, q in targets.items():
+                self.reaction.check()
+                try:
+                    self.cell.arms[name].start_move(q, *allowed[name])
+                except ArmError as error:
+                    raise self.stop_cell(cause_of(name, error)) from error
+            states = self._settled(list(targets), 2.0 * expected_s + _MOVE_ALLOWANCE_S)
         for name, q in targets.items():
             self._record_step(name, start[name], q, states[name].q)
-        self._emit(motion_ended(self.stop, states))
+        self.emit(motion_ended(self.stop, states))
         return states
 
-    def _drive(self, start: Mapping[str, Vector], targets: Mapping[str, Vector]) -> dict[str, ArmState]:
-        """Start all arms and wait until they have settled; the gate must have accepted the motion."""
-        allowed = {name: joint_rates(self._profile.arms[name], self.speed) for name in targets}
-        expected_s = max(motion_s(q - start[name], *allowed[name]) for name, q in targets.items())
-        self._emit(
-            MotionBegun(self.stop, vectors({name: start[name] for name in targets}), vectors(targets), expected_s)
-        )
-        for name, q in targets.items():
-            self._reaction.check()
+    @contextmanager
+    def _moving(self, start: Targets, ends: Targets, expected_s: float) -> Iterator[None]:
+        """Let arms move in this context, from ``start`` to ``ends``: every link has answered, the tracker is watched.
+
+        The gate must have accepted the motion. Raise ``CellStopped`` if a link does not respond, also one of an arm
+        that stays at rest: no motion begins while there is a fault.
+        """
+        self._record_foreign_steps(start)
+        self.departure = dict(start)
+        with self.cell.watch_tracker(self.cell.tracker, self._tracker_died):
+            self.ask_all({name: arm.confirm for name, arm in self.cell.arms.items()})
+            begins = {name: start[name] for name in ends}
+            self.emit(MotionBegun(self.stop, vectors(begins), vectors(ends), expected_s))
+            self.reaction.check()  # the tracker watch has queried the tracker
+            yield
+
+    def along(self, ways: Iterable[Way], back: Sequence[Way] = ((),)) -> dict[str, ArmState]:
+        """Move along the first way that the gate accepts, followed by one of ``back``, which is only checked.
+
+        Raise as ``move``; ``MotionRefused`` says what is wrong with the first way.
+        """
+        first: MotionRefused | None = None
+        for way, after in product(ways, back):
             try:
-                self._cell.arms[name].start_move(q, *allowed[name])
-            except ArmError as error:
-                raise self.stop_cell(cause_of(name, error)) from error
-        return self._settled(list(targets), 2.0 * expected_s + _MOVE_ALLOWANCE_S)
+                legs = (*way, *after)
+                if len(legs) > 1 and (refusal := self.refusal(*legs)):  # ``move`` checks a single one
+                    raise MotionRefused(f"refused to move: {refusal}")
+                states: dict[str, ArmState] = {}
+                for leg in way:
+                    states |= self.move(leg)
+                return states
+            except MotionRefused as error:
+                first = first or error
+        assert first is not None
+        raise first
 
     def follow(
-        self, paths: Mapping[str, tuple[Vector, float]], look: Callable[[], None] | None = None
+        self, paths: Mapping[str, tuple[Vector, float]], look: Callable[[], None] = lambda: None
     ) -> dict[str, float]:
         """Let arms at the beginning of their paths follow them simultaneously while the others rest; wait until all are
         at rest.
@@ -291,69 +363,56 @@ class Mover:
         in_time = equally_long({name: on_rows(q, its, period_s) for name, (q, its) in paths.items()})
         rows = {name: np.concatenate([start[name][None], q]) for name, q in in_time.items()}
         others = {other: here for other, here in start.items() if other not in paths}
-        allowed_m = allowed_apart_m(self._bodies, in_time, period_s)
-        row, refusal = refuse_paths(self._bodies, rows, others, self._cell.gate, allowed_m)
+        allowed_m = allowed_apart_m(self.bodies, in_time, period_s)
+        row, refusal = refuse_paths(self.bodies, rows, others, self.cell.gate, allowed_m)
         if refusal:
             raise MotionRefused(f"refused to follow a path: at {row * period_s:.1f} s: {refusal}")
         if len(paths) == 1:
-            return self._followed(start, paths, look)
+            return self._followed(start, paths, look, _LOOK_S)
 
         def look_at_all() -> None:
-            off_m = apart_m(self._bodies, in_time, {name: self._state(name).q for name in paths})
+            off_m = apart_m(self.bodies, in_time, {name: self._state(name).q for name in paths})
             if off_m > MOST_APART_M:
                 text = f"arms {' and '.join(paths)}: they are {off_m * 1e3:.0f} mm apart from where both should be"
                 raise self.stop_cell(StopCause("gate", f"{text}; one of them was late: find out why, then continue"))
-            if look is not None:
-                look()
+            look()
 
         return self._followed(start, paths, look_at_all, LOOK_S)
 
     def _followed(
-        self,
-        start: Mapping[str, Vector],
-        paths: Mapping[str, tuple[Vector, float]],
-        look: Callable[[], None] | None,
-        round_s: float = _LOOK_S,
+        self, start: Targets, paths: Mapping[str, tuple[Vector, float]], look: Callable[[], None], round_s: float
     ) -> dict[str, float]:
         """Let arms follow paths from ``start`` that the gate has accepted; wait until they are at rest."""
-        arms = {name: arm for name in paths if isinstance(arm := self._cell.arms[name], PathFollower)}
+        arms = {name: arm for name in paths if isinstance(arm := self.cell.arms[name], PathFollower)}
         for name in paths:
             if name not in arms:
                 raise MotionRefused(f"arm {name}: its driver cannot follow a stream of joint positions")
-        self._record_foreign_steps(start)
-        self._departure = dict(start)  # the straight way back is a different motion, which the gate checks
         expected_s = max(len(q) * period_s for q, period_s in paths.values())
-        ends = {name: q[-1] for name, (q, _) in paths.items()}
-        self._emit(MotionBegun(self.stop, vectors({name: start[name] for name in paths}), vectors(ends), expected_s))
-        with self._cell.watch_tracker(self._cell.tracker, self._tracker_died):
-            self._confirm_links()
-            self._reaction.check()
-            begin = {name: partial(arms[name].start_path, *path) for name, path in paths.items()}
-            _, errors = answers_of_all(self._cell.together, begin)
-            for name, error in errors.items():
-                raise self.stop_cell(cause_of(name, error)) from error
+        with self._moving(start, {name: q[-1] for name, (q, _) in paths.items()}, expected_s):
+            self.ask_all({name: partial(arms[name].start_path, *path) for name, path in paths.items()})
             states = self._settled(list(paths), expected_s + _MOVE_ALLOWANCE_S, look, round_s)
         reached = {name: arm.reached() for name, arm in arms.items()}
         for name, (q, _) in paths.items():
             part = driven(q, reached[name])
             self._record_step(name, start[name], part[-1], states[name].q)
-            self._approach[name] = _last_signs(part, self._approach[name])
-        self._emit(motion_ended(self.stop, states))
+            self.approach[name] = _last_signs(part, self.approach[name])
+        self.emit(motion_ended(self.stop, states))
         return reached
 
-    def _confirm_links(self) -> None:
-        """Check that every link of every arm responds now, also of arms that stay at rest.
-
-        Raise ``CellStopped`` if one does not: no motion begins while there is a fault.
-        """
-        arms = self._cell.arms
-        _, errors = answers_of_all(self._cell.together, {name: arm.confirm for name, arm in arms.items()})
+    def ask_all(self, calls: Mapping[str, Callable[[], T]]) -> dict[str, T]:
+        """Call a function for each arm, all at once, and return the answers. Raise ``CellStopped`` if one fails."""
+        answers, errors = answers_of_all(self.cell.together, calls)
         for name, error in errors.items():
             raise self.stop_cell(cause_of(name, error)) from error
-        self._reaction.check()  # the tracker watch has queried the tracker
+        return answers
+
+    def refused_by_controllers(self, q: Targets) -> dict[str, NDArray[np.bool_]]:
+        """Return which joint positions, name -> (n, N) [rad], each controller forbids, (n,). Raise ``CellStopped``."""
+        arms = self.cell.arms
+        return self.ask_all({name: partial(arms[name].refused_by_controller, own) for name, own in q.items()})
 
     def _tracker_died(self, reason: str) -> None:
-        self._reaction.trigger(StopCause("tracker", reason))
+        self.reaction.trigger(StopCause("tracker", reason))
 
     def _record_foreign_steps(self, start: Mapping[str, Vector]) -> None:
         """Record motions since the last completed one of this object: interrupted ones, or of an arm moved by hand."""
@@ -361,13 +420,13 @@ class Mover:
             step = q - self._rested_at.get(name, q)
             moved = np.abs(step) > MOVED_RAD
             if moved.any():
-                self._approach[name] = np.where(moved, np.sign(step), self._approach[name]).astype(np.int8)
+                self.approach[name] = np.where(moved, np.sign(step), self.approach[name]).astype(np.int8)
 
     def _record_step(self, name: str, start: Vector, commanded: Vector, reached: Vector) -> None:
         """Record the last motion of each joint. Raise ``CellStopped`` if the arm did not reach its target."""
         step = commanded - start
         moved = np.abs(step) > MOVED_RAD
-        self._approach[name] = np.where(moved, np.sign(step), self._approach[name]).astype(np.int8)
+        self.approach[name] = np.where(moved, np.sign(step), self.approach[name]).astype(np.int8)
         if moved.any() or name not in self._step:  # an arm that was already there keeps its last motion
             self._step[name] = np.where(moved, reached - start, 0.0)
         self._rested_at[name] = reached
@@ -381,11 +440,10 @@ class Mover:
 
         Raise as ``move``; ``MotionRefused`` if none of the remaining arms can move home.
         """
-        homes = home_positions(self._profile)
-        waiting = list(homes if names is None else names)
+        waiting = list(self.homes if names is None else names)
         while waiting:
-            name = next((name for name in waiting if not self.refusal({name: homes[name]})), waiting[0])
-            self.move({name: homes[name]})
+            name = next((name for name in waiting if not self.refusal({name: self.homes[name]})), waiting[0])
+            self.move({name: self.homes[name]})
             waiting.remove(name)
 
     def go_home_unless_clear(self, name: str, q: Vector) -> None:
@@ -393,12 +451,12 @@ class Mover:
 
         This prevents stranding the arm. Raise as ``move``.
         """
-        home = home_positions(self._profile)[name]
-        if self.refusal({name: q}, {name: home}):
-            self.move({name: home})
+        home = {name: self.homes[name]}
+        if self.refusal({name: q}, home):
+            self.move(home)
 
     def _settled(
-        self, names: Sequence[str], timeout_s: float, look: Callable[[], None] | None = None, round_s: float = _LOOK_S
+        self, names: Sequence[str], timeout_s: float, look: Callable[[], None] = lambda: None, round_s: float = _ROUND_S
     ) -> dict[str, ArmState]:
         """Wait in rounds until all arms are at rest in the same round; return their states.
 
@@ -408,15 +466,13 @@ class Mover:
         for name in names:
             self._rest_since_s.pop(name, None)
         remaining_s, standing_s, late = timeout_s, 0.0, ""
-        round_s = _ROUND_S if look is None else round_s
         while remaining_s > 0.0 and standing_s < _STANDSTILL_S:
             states, fraction = {}, 1.0
-            if look is not None:
-                look()
+            look()
             for name in names:
                 try:
-                    with self._cell.pulse.waiting(self._cell.oldest_data_s):
-                        states[name] = self._cell.arms[name].wait_settled(round_s)
+                    with self.cell.pulse.waiting(self.cell.oldest_data_s):
+                        states[name] = self.cell.arms[name].wait_settled(round_s)
                 except ArmTimeout:
                     slider = self._state(name).speed_fraction  # None: its controller does not report it
                     late, fraction = name, fraction if slider is None else min(fraction, slider)
@@ -424,11 +480,11 @@ class Mover:
                 except ArmError as error:
                     raise self.stop_cell(cause_of(name, error)) from error
                 since_s = states[name].rest_since_s
-                self._rest_since_s.setdefault(name, self._cell.clock.now_s() if since_s is None else since_s)
+                self._rest_since_s.setdefault(name, self.cell.clock.now_s() if since_s is None else since_s)
             if len(states) == len(names):
-                self._reaction.check()
+                self.reaction.check()
                 return states
-            self._reaction.check()
+            self.reaction.check()
             if fraction < _LEAST_FRACTION:
                 standing_s += round_s
             else:
@@ -438,47 +494,28 @@ class Mover:
             text = f"arm {late}: its speed slider is at 0 %, so that it does not move; raise it on the pendant"
         raise self.stop_cell(StopCause("fault", text, late))
 
-    def approach(self, name: str) -> NDArray[np.int8]:
-        """Return the sign of each joint's last motion (N,); 0 if the joint has not moved yet."""
-        return self._approach[name]
-
-    def step(self, name: str) -> Vector | None:
-        """Return each joint's last motion (N,) [rad], signed; None if the arm has not moved yet."""
-        return self._step.get(name)
-
     def rested_s(self, name: str) -> float | None:
         """Return how long an arm has been at rest [s]; None if it has not moved yet.
 
         If its controller does not report when it came to rest, count from when it was seen to have settled.
         """
         since_s = self._rest_since_s.get(name)
-        return None if since_s is None else self._cell.clock.now_s() - since_s
+        return None if since_s is None else self.cell.clock.now_s() - since_s
 
     def conditions(self, name: str, state: ArmState, later_s: float) -> MeasurementConditions:
         """Return the known conditions of an arm at rest, one row, ``later_s`` [s] from now."""
-        step, rested_s = self.step(name), self.rested_s(name)
+        step, rested_s = self._step.get(name), self.rested_s(name)
         return MeasurementConditions(
-            approach=self.approach(name)[None].astype(np.float64),
+            approach=self.approach[name][None].astype(np.float64),
             step=None if step is None else step[None],
             dwell_s=None if rested_s is None else np.array([max(rested_s + later_s, 0.0)]),
             payload_kg=None if state.payload_kg is None else np.array([state.payload_kg]),
             joints_c=None if state.joint_temperature_c is None else state.joint_temperature_c[None],
         )
 
-    def reading(self, name: str, point: PointAtRest, **conditions: Any) -> Readings:
-        """Return the reading of a point just measured after the arm's last motion, with further ``conditions``."""
-        same = ("q", "q_spread", "p_M", "covariance_M", "quaternion_M", "sigma_rad")
-        conditions |= {key: getattr(point, key) for key in same}
-        return Readings.one(approach=self.approach(name), step=self.step(name), **conditions)
-
-    def rest(self, name: str, dwell_s: float, job: JobToken) -> None:
-        """Wait until an arm has been at rest for ``dwell_s`` [s]. Raise as soon as the cell is stopped."""
-        remaining_s = dwell_s - (self.rested_s(name) or 0.0)
-        if remaining_s > 0.0:
-            with self._cell.pulse.waiting():
-                self._cell.clock.wait(remaining_s, job.wait)
-        self._reaction.check()
-        job.check()
+    def rest(self, name: str, dwell_s: float) -> None:
+        """Wait until an arm has been at rest for ``dwell_s`` [s]. Raise as ``wait``."""
+        self.wait(max(dwell_s - (self.rested_s(name) or 0.0), 0.0))
 
     def measure(self, name: str, q: Vector) -> PointAtRest:
         """Measure the SMR of an arm that came to rest at ``q`` (N,) [rad]; try twice.
@@ -492,7 +529,7 @@ class Mover:
         CellStopped
             If the tracker itself fails, the arm moves at each of three tries, or the cell was stopped in the meantime.
         """
-        return self.measure_at(predicted_smr(self._bodies, name, q[None])[0], f"arm {name}", at=(name, q))
+        return self.measure_at(predicted_smr(self.bodies, name, q[None])[0], f"arm {name}", at=(name, q))
 
     def measure_at(
         self,
@@ -510,9 +547,9 @@ class Mover:
         """
         within_m, times_moved = WRONG_TARGET_M if within_m is None else within_m, 0
         while True:
-            self._reaction.check()
+            self.reaction.check()
             found, joints = self._tried(expected_M, what, within_m, None if at is None else at[0])
-            self._reaction.check()  # the arms may have moved while they braked
+            self.reaction.check()  # the arms may have moved while they braked
             if at is not None and joints is not None and (moved := self._moved(*at, joints)):
                 times_moved += 1
                 if times_moved == _TIMES_MOVED:
@@ -520,7 +557,7 @@ class Mover:
                     raise self.stop_cell(StopCause("fault", text, at[0]))
                 self._log(f"{moved}: rejected, measured again ({times_moved} of {_TIMES_MOVED - 1})")
             elif isinstance(found, Point):
-                return PointAtRest.of(found, joints, self._cell.clock.now_s())
+                return PointAtRest.of(found, joints, self.cell.clock.now_s())
             elif tries <= 1:
                 raise found
             else:
@@ -528,7 +565,7 @@ class Mover:
 
     def _moved(self, name: str, q: Vector, joints: JointRecord) -> str:
         """Return how far an arm that rested at ``q`` (N,) [rad] moved, in words; empty within its settling window."""
-        arm, off = self._cell.arms[name], np.abs(joints.q - q).max(axis=0)
+        arm, off = self.cell.arms[name], np.abs(joints.q - q).max(axis=0)
         window = arm.settle_window if isinstance(arm, SettlingArm) else MOVED_RAD
         if off.max() <= window:
             return ""
@@ -544,7 +581,7 @@ class Mover:
         if name is None:
             return self._point(expected_M, what, within_m), None
         try:
-            end = recording(self._cell.arms[name])
+            end = recording(self.cell.arms[name])
             try:
                 found = self._point(expected_M, what, within_m)
             finally:
@@ -555,15 +592,15 @@ class Mover:
 
     def _point(self, expected_M: Vector, what: str, within_m: float) -> Point | TrackerError:
         try:
-            with self._cell.pulse.waiting(self._cell.tracker.data_age_s):
-                point = self._cell.tracker.measure(expected_M, self._profile.tracker.averaging)
+            with self.cell.pulse.waiting(self.cell.tracker.data_age_s):
+                point = self.cell.tracker.measure(expected_M, self.profile.tracker.averaging)
         except (TargetLost, WrongTarget, Unstable) as error:
             return error
         except NotReady:
             raise
         except TrackerError as error:
             if isinstance(error, Halted):
-                self._reaction.check()
+                self.reaction.check()
             raise self.stop_cell(StopCause("tracker", str(error))) from error
         off = float(np.linalg.norm(point.p_M - expected_M))
         if off <= within_m:
@@ -571,8 +608,8 @@ class Mover:
         return WrongTarget(f"{what}: the tracker locked an SMR {off * 1e3:.0f} mm from where this one should be")
 
     def _log(self, text: str) -> None:
-        self._emit(LogReport("warning", text))
-        for log in self._cell.logs:
+        self.emit(LogReport("warning", text))
+        for log in self.cell.logs:
             log("warning", text)
 
     def stop_cell(self, cause: StopCause) -> CellStopped:
@@ -580,14 +617,14 @@ class Mover:
 
         That an arm was braked is a consequence of a cause, not another cause.
         """
-        first = self._reaction.cause
+        first = self.reaction.cause
         if first is None or not isinstance(cause.error, MotionStopped):
-            self._reaction.trigger(cause)
-        return CellStopped(self._reaction.cause or cause)
+            self.reaction.trigger(cause)
+        return CellStopped(self.reaction.cause or cause)
 
     def _state(self, name: str) -> ArmState:
-        self._cell.pulse.beat()
+        self.cell.pulse.beat()
         try:
-            return self._cell.arms[name].state()
+            return self.cell.arms[name].state()
         except ArmError as error:
             raise self.stop_cell(cause_of(name, error)) from error

@@ -8,16 +8,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from cellapp.cell.driving.cell import Cell, open_arms
+from cellapp.cell.driving.cell import open_arms
 from cellapp.cell.driving.cell_checks import check_controllers
 from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover
-from cellapp.cell.driving.reaction import StopReaction
 from cellapp.cell.driving.records import RehearsedMotion
 from cellapp.cell.driving.rehearsal_rungs import RUNGS, Rung, RungName
-from cellapp.cell.driving.stops_to_collect import StopsToCollect, Travel, forbidden_stops, remaining_work
-from cellapp.cell.driving.supervision import hold_while_paused, reacting
+from cellapp.cell.driving.stops_to_collect import StopsToCollect, Travel, remaining_work
+from cellapp.cell.driving.supervision import reacting
 from cellapp.cell.run import RunFile
-from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
+from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError
 from cellapp.ground.progress import Detail, MotionBegun, MotionEnded
@@ -65,7 +64,8 @@ def rehearse(
     try:
         with open_arms(run.profile, control, simulation=rung.simulation) as cell, reacting(cell, control) as reaction:
             found.notes = check_controllers(run, cell)
-            _Driver(run, work, rung, tuple(arms), cell, reaction, control, found).drive(confirm)
+            mover = Mover(run.profile, cell, cell_bodies(run.profile), reaction, control)
+            _Driver(work, rung, tuple(arms), mover, found).drive(confirm)
     except (HardwareError, MotionRefused) as error:
         found.ended = str(error)
     return found
@@ -75,36 +75,29 @@ def rehearse(
 class _Driver:
     """Drives one rung in an open cell."""
 
-    run: RunFile
     work: StopsToCollect
     rung: Rung
     arms: tuple[str, ...]
-    cell: Cell
-    reaction: StopReaction
-    control: JobControl
+    mover: Mover
     found: Rehearsal
 
     def __post_init__(self) -> None:
-        profile = self.run.profile
-        self.mover = Mover(profile, self.cell, cell_bodies(profile), self.reaction, self._note)
-        self.travel = Travel(profile, self.mover, self.work)
+        self.mover.emit = self._note
+        self.travel = Travel(self.mover, self.work)
         self.mover.speed = self.rung.share
         self._begun: tuple[MotionBegun, float] | None = None
 
     def drive(self, confirm: Confirm | None) -> None:
         """Visit the stops of the rung, then go home."""
-        homes = home_positions(self.run.profile)
-        forbidden, errors = forbidden_stops(self.cell, self.work, homes)
-        for name, error in errors.items():
-            raise HardwareError(f"arm {name}: {error}") from error
+        forbidden = self.travel.forbidden_stops()
         stops = [stop for stop in self.work.stops if stop not in forbidden][: self.rung.stops]
         if self.rung.stops is None:
             self.found.refused |= {stop + 1: why for stop, why in forbidden.items()}
         if stops:
             self.mover.confirm_first(self._targets(stops[0]), confirm)
         for number, stop in enumerate(stops):
-            hold_while_paused(self.cell, self.control, self.reaction)
-            self.control.tell("rehearse", number, len(stops), f"stop {stop + 1}")
+            self.mover.hold()
+            self.mover.control.tell("rehearse", number, len(stops), f"stop {stop + 1}")
             self.mover.stop = stop
             try:
                 self._to_stop(stop)
@@ -114,7 +107,7 @@ class _Driver:
             finally:
                 self.mover.stop = None
         self.mover.go_home(self.arms)
-        self.control.tell("rehearse", len(stops), len(stops), "done")
+        self.mover.control.tell("rehearse", len(stops), len(stops), "done")
 
     def _to_stop(self, stop: int) -> None:
         """Move as collecting does; if only some arms of the cell move, go straight or from home."""
@@ -132,7 +125,7 @@ class _Driver:
 
     def _note(self, detail: Detail) -> None:
         """Record duration and deviation of a motion from the reports of its beginning and end."""
-        now_s = self.cell.clock.now_s()
+        now_s = self.mover.cell.clock.now_s()
         if isinstance(detail, MotionBegun):
             self._begun = detail, now_s
         elif isinstance(detail, MotionEnded) and self._begun is not None:

@@ -10,22 +10,18 @@ Joint positions that the arms' controllers forbid, queried before anything moves
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
-from cellapp.cell.driving.cell import Cell, answers_of_all
-from cellapp.cell.driving.motion import MotionRefused, Mover, Vector
+from cellapp.cell.driving.motion import MotionRefused, Mover, Targets, Vector
 from cellapp.cell.planning.planned_stops import PlannedStops, Route, read_planned_stops, routes
 from cellapp.cell.run import RunFile
-from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import HardwareError, InputError
-from cellapp.ground.profile import Profile
 from cellapp.ground.shell import shell_word
-from drivers.arms.protocol import ArmError, ArmState
+from drivers.arms.protocol import ArmState
 
 
 @dataclass(frozen=True)
@@ -179,16 +175,11 @@ class StopQueue:
         self.total = self.finished
 
 
-Targets = Mapping[str, Vector]
-"""Arm -> joint positions (N,) [rad]."""
-
-
 class Travel:
     """Moves the arms of one session to stops and home."""
 
-    def __init__(self, profile: Profile, mover: Mover, work: StopsToCollect) -> None:
+    def __init__(self, mover: Mover, work: StopsToCollect) -> None:
         self._mover, self._work = mover, work
-        self._homes: Targets = home_positions(profile)
         self.slow_again()
 
     def slow_again(self) -> None:
@@ -212,15 +203,15 @@ class Travel:
             If the gate accepts no route.
         """
         try:
-            return self._by_any(self._routes(stop))
+            return self._mover.along(self._routes(stop))
         except MotionRefused:
             self.home()
-            return self._by_any(self._routes(stop))
+            return self._mover.along(self._routes(stop))
 
     def first_leg(self, stop: int) -> Targets:
         """Return where the first motion of ``to_stop`` leads from the present positions."""
         accepted = (route for route in self._routes(stop) if not self._mover.refusal(*route))
-        return next(accepted, (self._homes,))[0]
+        return next(accepted, (self._mover.homes,))[0]
 
     def home(self) -> None:
         """Move home, one arm after the other.
@@ -230,78 +221,51 @@ class Travel:
         try:
             self._mover.go_home()
         except MotionRefused:
-            departure = self._mover.departure()
-            if departure is None:
+            if self._mover.departure is None:
                 raise
-            self._mover.move(departure)
+            self._mover.move(self._mover.departure)
             self._mover.go_home()
 
-    def home_at_once(self, homes: Targets) -> None:
+    def home_at_once(self) -> None:
         """Move all arms home at once, or one after the other if the gate refuses that."""
         try:
-            self._mover.move(homes)
+            self._mover.move(self._mover.homes)
         except MotionRefused:
             self.home()
 
     def _routes(self, stop: int) -> list[Route]:
         """Return the routes to a stop from the present positions."""
-        before = self._work.route.targets(stop - 1) if stop else self._homes
+        before = self._work.route.targets(stop - 1) if stop else self._mover.homes
         planned = bool(self._work.route.legs[stop]) and self._mover.rests_at(before)
         return list(routes(self._work.route, stop, as_planned=planned))
 
-    def _by_any(self, ways: Sequence[Route]) -> dict[str, ArmState]:
-        """Move along the first route that the gate accepts. Raise the first ``MotionRefused`` if there is none."""
-        first: MotionRefused | None = None
-        for way in ways:
-            try:
-                return self._along(way)
-            except MotionRefused as error:
-                first = first or error
-        assert first is not None
-        raise first
+    def forbidden_stops(self) -> dict[int, str]:
+        """Return the stops that a controller forbids, stop -> reason.
 
-    def _along(self, way: Route) -> dict[str, ArmState]:
-        """Move along a route. Raise ``MotionRefused`` if the gate refuses one of its motions."""
-        refusal = self._mover.refusal(*way) if len(way) > 1 else ""  # for a single motion, ``move`` checks
-        if refusal:
-            raise MotionRefused(f"refused to move: {refusal}")
-        states: dict[str, ArmState] = {}
-        for leg in way:
-            states |= self._mover.move(leg)
-        return states
+        The query covers all stops that are not stored, and the reserves, with the ends of their legs and the starts of
+        their last motions. All controllers are queried concurrently: each needs some milliseconds per position.
 
-
-def forbidden_stops(
-    cell: Cell, work: StopsToCollect, homes: Mapping[str, Vector]
-) -> tuple[dict[int, str], dict[str, ArmError]]:
-    """Return the stops that a controller forbids, stop -> reason, and errors by arm.
-
-    The query covers all stops that are not stored, and the reserves, with the ends of their legs and the starts of
-    their last motions. All controllers are queried concurrently: each needs some milliseconds per position.
-
-    Raises
-    ------
-    HardwareError
-        If a controller forbids a home position.
-    """
-    stops = [*work.stops, *work.reserves]
-    asked = {name: _positions(work, stops, name) for name in cell.arms}
-    calls = {
-        name: partial(arm.refused_by_controller, np.vstack([homes[name], *(q for _, q in asked[name])]))
-        for name, arm in cell.arms.items()
-    }
-    answers, errors = answers_of_all(cell.together, calls)
-    forbidden: dict[int, str] = {}
-    for name, refused in answers.items():
-        if refused[0]:
-            raise HardwareError(
-                f"arm {name}: the controller's safety limits forbid its home position; change arms.{name}.home, or"
-                " the safety limits on the pendant"
-            )
-        for row in np.flatnonzero(refused[1:]):
-            stop = asked[name][row][0]
-            forbidden.setdefault(stop, f"arm {name}: the controller's safety limits forbid these joint positions")
-    return forbidden, errors
+        Raises
+        ------
+        HardwareError
+            If a controller forbids a home position.
+        CellStopped
+            If one does not answer.
+        """
+        work, homes = self._work, self._mover.homes
+        asked = {name: _positions(work, [*work.stops, *work.reserves], name) for name in work.route.q}
+        q = {name: np.vstack([homes[name], *(at for _, at in positions)]) for name, positions in asked.items()}
+        forbidden: dict[int, str] = {}
+        for name, refused in self._mover.refused_by_controllers(q).items():
+            if refused[0]:
+                raise HardwareError(
+                    f"arm {name}: the controller's safety limits forbid its home position; change arms.{name}.home, or"
+                    " the safety limits on the pendant"
+                )
+            for row in np.flatnonzero(refused[1:]):
+                stop = asked[name][row][0]
+                forbidden.setdefault(stop, f"arm {name}: the controller's safety limits forbid these joint positions")
+        return forbidden
 
 
 def _positions(work: StopsToCollect, stops: Sequence[int], name: str) -> list[tuple[int, Vector]]:

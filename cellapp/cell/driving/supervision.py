@@ -12,15 +12,14 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Literal
 
-from cellapp.cell.driving.cell import Cell, open_cell
+from cellapp.cell.driving.cell import Cell, open_cell, start_tracker
 from cellapp.cell.driving.motion import Confirm, Mover
 from cellapp.cell.driving.reaction import CellStopped, StopCause, StopReaction
-from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
-from cellapp.cell.safety.gate import CellBodies
+from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.ground.control import Aborted, JobControl, Stopped
 from cellapp.ground.errors import CellappError, HardwareError
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.sections import Suspend, Suspension
+from cellapp.ground.profile.sections import Suspension
 from cellapp.ground.progress import ArmLive, Cancelled, CellLive, Detail, Halt, StateChange
 from cellapp.robot.model import CellModel
 from drivers.clock import slept_s
@@ -29,18 +28,9 @@ SuspensionKind = Literal["target", "air", "drift", "tracker_warm_up", "host_stal
 Record = Callable[[str, str], None]
 """Callback that records an event in the run: kind ("pause", "stop", "suspend", "resume", ...) and reason."""
 
-_POLL_S = 0.1
-"""Polling period of a paused job [s]; a stop does not wait for it, it brakes in the person's thread."""
 _FRESH_S = 0.3
 """Largest age [s] of data of an arm that still describe its current state."""
 _BY_PERSON = {"stop": "a person stopped the arms", "abort": "a person aborted the job"}
-
-
-@contextmanager
-def attended_cell(profile: Profile, control: JobControl) -> Iterator[tuple[Cell, StopReaction]]:
-    """Open the cell of a profile and connect it to its brakes. Raise as ``open_cell`` and ``reacting``."""
-    with open_cell(profile, control=control) as cell, reacting(cell, control) as reaction:
-        yield cell, reaction
 
 
 @contextmanager
@@ -120,32 +110,11 @@ def _watch_out(unseen: dict[str, str]) -> list[str]:
     return [f"NOT SEEN AT REST: {'; '.join(unseen.values())}"] if unseen else []
 
 
-def hold_while_paused(cell: Cell, control: JobControl, reaction: StopReaction) -> None:
-    """Wait, with the arms at rest, while a person pauses. Raise ``CellStopped``, ``Stopped`` or ``Aborted``."""
-    reaction.check()  # first, so that the cause of a halt is recorded
-    control.check()
-    while control.request in ("pause", "stop"):
-        _attend(cell, control)
-        control.check()
-        reaction.check()
-
-
-def _attend(cell: Cell, control: JobControl) -> None:
-    """Wait one polling period for a person, in real time; the clock of a simulated cell advances too."""
-    cell.pulse.beat()
-    control.wait_while("pause", "stop", timeout_s=_POLL_S)
-    cell.clock.wait(_POLL_S, lambda duration_s: None)
-
-
 @dataclass
 class CellSupervisor:
     """Holds a job when a person or the cell asks for it. The cell's clock advances during all waits."""
 
-    cell: Cell
-    control: JobControl
-    reaction: StopReaction
-    suspend: Suspend
-    reconnect_tracker: Callable[[], None]
+    mover: Mover
     record: Record
     emit: Callable[[Detail], None]
     after_resume: Callable[[], None]
@@ -155,18 +124,12 @@ class CellSupervisor:
 
     def checkpoint(self) -> None:
         """Wait while paused, with the arms at rest. Raise ``CellStopped``, ``Stopped`` or ``Aborted``."""
-        paused = self.control.request == "pause"
+        paused = self.mover.control.request == "pause"
         if paused:
             self._say("pause", StateChange("paused", "paused by a person"))
-        hold_while_paused(self.cell, self.control, self.reaction)
+        self.mover.hold()
         if paused:
             self._say("resume", StateChange("running", "resumed by a person"))
-
-    def wait(self, duration_s: float) -> None:
-        """Let time pass with the arms at rest. Raise ``CellStopped`` as soon as the cell is stopped."""
-        with self.cell.pulse.waiting():
-            self.cell.clock.wait(duration_s, self.control.wait)
-        self.reaction.check()
 
     def recover(self, stopped: CellStopped) -> None:
         """After a halt of the cell, hold until the arms may move again, then release them; do not move them.
@@ -178,8 +141,8 @@ class CellSupervisor:
         HardwareError
             If the cause needs a person and nobody attends the job, or an arm was not seen at rest.
         """
-        unseen = self.reaction.wait_at_rest()
-        known = self.reaction.causes
+        unseen = self.mover.reaction.wait_at_rest()
+        known = self.mover.reaction.causes
         causes = known or (stopped.cause,)
         kinds = {cause.kind for cause in causes}
         text = "; ".join([*(cause.text for cause in causes), *_watch_out(unseen)])
@@ -187,28 +150,28 @@ class CellSupervisor:
         for cause in causes[1:]:
             if cause.kind in _BY_PERSON:  # recorded under its own kind, although another cause came first
                 self.record(cause.kind, cause.text)
-        if unseen and (self.control.cancelled or not self.control.holds):
+        if unseen and (self.mover.control.cancelled or not self.mover.control.holds):
             raise HardwareError(f"{text}; a stop was sent to all arms") from stopped
-        self.control.check()
+        self.mover.control.check()
         if kinds == {"host stalled"} and not unseen and self._resumes_after_stall(causes, text):
             return
-        if not self.control.holds:
+        if not self.mover.control.holds:
             raise HardwareError(f"{text}; a stop was sent to all arms") from stopped
         if kinds != {"stop"}:  # a stop alone holds already; a person may have resumed it before another cause came
-            self.control.hold()
+            self.mover.control.hold()
         self._hold_for_person(text, known)
 
     def _resumes_after_stall(self, causes: Sequence[StopCause], text: str) -> bool:
         """Resume after a stall of this computer if the profile allows it and nothing else happened; return whether."""
-        allowed = self.suspend.host_stall
+        allowed = self.mover.profile.collection.suspend.host_stall
         if self._asleep_s() > allowed.wait or not self._begin("host_stall", text):
             return False
-        self.cell.clock.wait(allowed.retry, self.control.wait)
-        self.control.check()
-        if self.control.request != "none":
+        self.mover.cell.clock.wait(allowed.retry, self.mover.control.wait)
+        self.mover.control.check()
+        if self.mover.control.request != "none":
             return False
         try:
-            self.reaction.release(causes)
+            self.mover.reaction.release(causes)
         except HardwareError as error:
             self.record("not released", str(error))
             return False
@@ -227,11 +190,11 @@ class CellSupervisor:
         """
         if not self._begin(kind, reason):
             return False
-        allowed: Suspension = getattr(self.suspend, kind)
-        end_s = self.cell.clock.now_s() + allowed.wait
-        while self.cell.clock.now_s() < end_s:
-            self.wait(min(allowed.retry, max(end_s - self.cell.clock.now_s(), 1e-3)))
-            if self.control.request == "pause":
+        allowed: Suspension = getattr(self.mover.profile.collection.suspend, kind)
+        end_s = self.mover.cell.clock.now_s() + allowed.wait
+        while self.mover.cell.clock.now_s() < end_s:
+            self.mover.wait(min(allowed.retry, max(end_s - self.mover.cell.clock.now_s(), 1e-3)))
+            if self.mover.control.request == "pause":
                 self.checkpoint()
             if ready():
                 self._resumed(f"by itself: {reason}: no longer")
@@ -241,10 +204,10 @@ class CellSupervisor:
 
     def hold(self, reason: str) -> bool:
         """Wait until a person resumes, if one attends the job; return whether one did."""
-        if not self.control.holds:
+        if not self.mover.control.holds:
             return False
-        self.control.hold()
-        self._hold_for_person(reason, self.reaction.causes)
+        self.mover.control.hold()
+        self._hold_for_person(reason, self.mover.reaction.causes)
         return True
 
     def _hold_for_person(self, reason: str, shown: Sequence[StopCause]) -> None:
@@ -255,35 +218,40 @@ class CellSupervisor:
         shown = tuple(shown)
         while True:
             self.emit(StateChange("stopped", f"{reason}; resume when the cell is clear, or abort"))
-            while self.control.request in ("stop", "pause") and self.reaction.causes == shown:
-                _attend(self.cell, self.control)
-            self.control.check()
+            while self.mover.control.request in ("stop", "pause") and self.mover.reaction.causes == shown:
+                self.mover.attend()
+            self.mover.control.check()
             try:
-                if self.reaction.causes == shown:
+                if self.mover.reaction.causes == shown:
                     self._release(shown)
                     self._resumed("by a person")
                     return
-                causes = self.reaction.causes
+                causes = self.mover.reaction.causes
                 reason = causes[-1].text
                 for cause in causes[len(shown) :]:  # includes a person's stop that a fault followed
                     self.record(cause.kind, cause.text)
             except HardwareError as error:
-                reason, causes = str(error), self.reaction.causes
+                reason, causes = str(error), self.mover.reaction.causes
                 by_person = (cause.kind for cause in causes if all(cause is not one for one in shown))
                 kind = next((kind for kind in by_person if kind in _BY_PERSON), "not released")
                 self.record(kind, reason)
             shown = causes
-            self.control.hold()
+            self.mover.control.hold()
 
     def _release(self, known: Sequence[StopCause]) -> None:
         """Reconnect the tracker if it was a cause; release. Raise ``HardwareError`` if not ready, or on a new cause."""
         if any(cause.kind == "tracker" for cause in known):
-            self.reconnect_tracker()
-        self.reaction.release(known)
+            self.mover.cell.tracker.disconnect()
+            self.tracker_ready()
+        self.mover.reaction.release(known)
+
+    def tracker_ready(self) -> bool:
+        """Connect and prepare the tracker again; return whether it is ready to measure."""
+        return not start_tracker(self.mover.cell.tracker, self.mover.profile.tracker.driver)
 
     def _begin(self, kind: SuspensionKind, reason: str) -> bool:
         """Return whether another suspension for this cause is allowed; if so, count and announce it."""
-        allowed: Suspension = getattr(self.suspend, kind)
+        allowed: Suspension = getattr(self.mover.profile.collection.suspend, kind)
         if self._used[kind] >= allowed.times:
             return False
         self._used[kind] += 1
@@ -299,19 +267,6 @@ class CellSupervisor:
         self.emit(change)
 
 
-@dataclass(frozen=True, eq=False)
-class MovingCell:
-    """Open cell with all arms at home; ``hold`` waits while a person pauses."""
-
-    cell: Cell
-    reaction: StopReaction
-    bodies: CellBodies
-    mover: Mover
-    hold: Callable[[], None]
-    began_s: float
-    """Start of the first motion on the cell's clock [s]."""
-
-
 @contextmanager
 def moving_cell(
     profile: Profile,
@@ -321,21 +276,22 @@ def moving_cell(
     confirm: Confirm | None = None,
     opened: Callable[[Cell], object] = lambda cell: None,
     slow_visits: int | None = 0,
-) -> Iterator[MovingCell]:
-    """Open the cell of a profile and move all arms home.
+    full_speed: float = 1.0,
+) -> Iterator[Mover]:
+    """Open the cell of a profile and move all arms home; return what moves them.
 
     ``opened`` is called with the open cell before anything moves; an exception from it ends the job. ``confirm`` is
-    called before the first motion. The tracker must be ready. ``slow_visits``
-    is as in ``Mover.slow_start``. Raise as ``attended_cell`` and ``Mover``; ``InputError`` if the first motion is not
-    confirmed.
+    called before the first motion. The tracker must be ready. ``slow_visits`` is as in ``Mover.slow_start``;
+    ``full_speed`` is the fraction of the profile's speed for other motions. Raise as ``open_cell``, ``reacting`` and
+    ``Mover``; ``InputError`` if the first motion is not confirmed.
     """
-    bodies, homes = cell_bodies(profile, model), home_positions(profile)
-    with attended_cell(profile, control) as (cell, reaction):
+    bodies = cell_bodies(profile, model)
+    with open_cell(profile, control=control) as cell, reacting(cell, control) as reaction:
         opened(cell)
         cell.require_tracker()
-        mover = Mover(profile, cell, bodies, reaction)
-        mover.confirm_first(homes, confirm)
+        mover = Mover(profile, cell, bodies, reaction, control)
+        mover.confirm_first(mover.homes, confirm)
+        mover.full_speed = full_speed
         mover.slow_start(slow_visits)
-        began_s = cell.clock.now_s()
         mover.go_home()
-        yield MovingCell(cell, reaction, bodies, mover, lambda: hold_while_paused(cell, control, reaction), began_s)
+        yield mover

@@ -20,26 +20,25 @@ Drive a path of one arm while the tracker follows its SMR; drive it again if the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
 from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.motion import WRONG_TARGET_M, Mover, sweep_sentence
-from cellapp.cell.driving.reaction import StopCause, StopReaction, cause_of
+from cellapp.cell.driving.reaction import StopCause, StopReaction
 from cellapp.cell.planning.sweeps import PlannedSweep, read_sweeps, refuse_sweep
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.columns import POINT, stems
 from cellapp.cell.run.recordings import recording_states, store_recording
 from cellapp.cell.run.recordings_csv import RecordedStreams, checked_recording
 from cellapp.cell.run.stream_csv import StreamTable
-from cellapp.cell.safety.gate import CellBodies, predicted_smr
+from cellapp.cell.safety.gate import predicted_smr
 from cellapp.estimation.iso9283.evaluate import PathTrack
-from cellapp.ground.control import JobControl
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.grouping import grouped
@@ -48,55 +47,7 @@ from cellapp.robot.kinematics.transforms import Array, rows_at
 from cellapp.robot.paths.joint_path import Sweep, Trajectory
 from drivers.arms.protocol import Arm, ArmError, PathFollower
 from drivers.arms.recording import JointRecord, RecordingArm
-from drivers.clock import Clock
-from drivers.trackers.protocol import (
-    StreamingTracker,
-    TargetLost,
-    Track,
-    TrackerError,
-    WrongTarget,
-    stream_limits_of,
-    stream_of,
-)
-
-
-@dataclass
-class LiveSweep:
-    """Progress of one sweep for those who look on: ``so_far`` is the last report, ``tell`` receives each."""
-
-    so_far: SweepLive
-    tell: Callable[[SweepLive], None]
-
-    def looking(
-        self, clock: Clock, s_s: Array, period_s: float, state: Literal["moving", "unrecorded"] = "moving"
-    ) -> Callable[[], None]:
-        """Return what reports a part of the motion, which begins with its first call.
-
-        ``s_s`` (m,) are times of the motion [s], one per ``period_s`` [s].
-        """
-        began_s: float | None = None
-
-        def look() -> None:
-            nonlocal began_s
-            now_s = clock.now_s()
-            began_s = now_s if began_s is None else began_s
-            done_s = np.interp((now_s - began_s) / period_s, np.arange(len(s_s)), s_s)
-            self._say(replace(self.so_far, state=state, done_s=float(done_s)))
-
-        return look
-
-    def ended(self, reached_s: float | None = None) -> None:
-        """Report a part that ended at ``reached_s`` of the motion, where the beam broke, or at its end if None."""
-        if reached_s is None:
-            self._say(replace(self.so_far, state="done", done_s=self.so_far.duration_s))
-        else:
-            lost_beams = self.so_far.lost_beams + 1
-            self._say(replace(self.so_far, state="searching", done_s=reached_s, lost_beams=lost_beams))
-
-    def _say(self, now: SweepLive) -> None:
-        self.so_far = now
-        self.tell(now)
-
+from drivers.trackers.protocol import TargetLost, Track, TrackerError, WrongTarget, stream_limits_of, stream_of
 
 _TRIES = 3
 """Tries to find the SMR after a break; between them a person in the beam has ``_PAUSE_S`` [s] to leave."""
@@ -135,7 +86,7 @@ class Beam:
                 arm.end_path()
 
 
-def find_again(cell: Cell, mover: Mover, control: JobControl, name: str) -> None:
+def find_again(mover: Mover, name: str) -> None:
     """Measure the SMR of an arm at rest where its beam broke, with retries. Raise ``TrackerError``, ``Cancelled``."""
     for remaining in range(_TRIES, 0, -1):
         try:
@@ -144,8 +95,7 @@ def find_again(cell: Cell, mover: Mover, control: JobControl, name: str) -> None
         except (TargetLost, WrongTarget):
             if remaining == 1:
                 raise
-        cell.clock.wait(_PAUSE_S, control.wait)
-        control.check()
+        mover.wait(_PAUSE_S)
 
 
 _REST_S = 0.5
@@ -206,21 +156,24 @@ class _Leg:
         return float(np.interp(reached, np.arange(len(self.s_s)), self.s_s)) if early else None
 
 
-@dataclass(frozen=True)
-class SweepDriver:
-    """Driver of sweeps in an open cell; ``interval_s`` is the time between two points of the tracker [s]."""
+@dataclass
+class DrivenSweep:
+    """A sweep of an open cell, driven and recorded in parts.
 
-    cell: Cell
+    ``motions`` are those of all moving arms, which are at their beginnings; the first arm is measured. ``interval_s``
+    is the time between two points of the tracker [s]. ``note`` receives warnings for a person; ``tell`` each report
+    for those who look on, of which ``live`` is the last.
+    """
+
     mover: Mover
-    bodies: CellBodies
-    reaction: StopReaction
-    control: JobControl
     interval_s: float
+    motions: Mapping[str, Sweep]
+    note: Callable[[str], None]
+    tell: Callable[[SweepLive], None]
+    live: SweepLive
 
-    def drive(self, motions: Mapping[str, Sweep], note: Callable[[str], None], live: LiveSweep) -> Iterator[SweepPart]:
-        """Drive one period of the motions of all moving arms; yield each part when it is recorded.
-
-        The arms must be at the beginnings of their motions. The first arm is measured. ``live`` receives the progress.
+    def parts(self) -> Iterator[SweepPart]:
+        """Drive one period of the motions; yield each part when it is recorded.
 
         Raises
         ------
@@ -231,16 +184,16 @@ class SweepDriver:
         TrackerError
             If the SMR is not found before the motion begins.
         """
-        name, from_s = next(iter(motions)), dict.fromkeys(motions, 0.0)
+        motions, name, from_s = self.motions, next(iter(self.motions)), dict.fromkeys(self.motions, 0.0)
         for part in range(1, _MOST_PARTS + 1):
             try:
                 if part > 1:
-                    find_again(self.cell, self.mover, self.control, name)
-                found, reached = self._recorded(self._legs(motions, from_s), live)
+                    find_again(self.mover, name)
+                found, reached = self._recorded(self._legs(from_s))
             except (TargetLost, WrongTarget) as error:
                 if part == 1:
                     raise
-                note(f"arm {name}: the rest of its sweep is not recorded: {error}")
+                self.note(f"arm {name}: the rest of its sweep is not recorded: {error}")
                 break
             if found.reached_s is None or found.reached_s - from_s[name] > _SHORTEST_S:
                 yield found
@@ -249,77 +202,76 @@ class SweepDriver:
             from_s = {one: motions[one].period_s if its_s is None else its_s for one, its_s in reached.items()}
             if found.reached_s is None:
                 break  # the beam broke at the end: the other arm completes its motion
-            note(f"arm {name}: the beam broke {from_s[name]:.1f} s after its sweep began; it goes on from there")
-        legs = self._legs(motions, from_s)
-        own = legs[name]
-        self._follow(legs, live.looking(self.cell.clock, own.s_s, own.arm.path_period_s, "unrecorded"))
-        live.ended()
+            self.note(f"arm {name}: the beam broke {from_s[name]:.1f} s after its sweep began; it goes on from there")
+        self._follow(self._legs(from_s), "unrecorded")
+        self._report(state="done", done_s=self.live.duration_s)
 
-    def _legs(self, motions: Mapping[str, Sweep], from_s: Mapping[str, float]) -> dict[str, _Leg]:
+    def _legs(self, from_s: Mapping[str, float]) -> dict[str, _Leg]:
         found = {}
-        for name, motion in motions.items():
-            arm = self.cell.arms[name]
+        for name, motion in self.motions.items():
+            arm = self.mover.cell.arms[name]
             assert isinstance(arm, _FollowedAndRecorded)
             found[name] = _Leg(arm, *_rest_of(motion, from_s[name], arm.path_period_s))
         return found
 
-    def _follow(self, legs: Mapping[str, _Leg], look: Callable[[], None]) -> dict[str, float | None]:
+    def _follow(self, legs: Mapping[str, _Leg], state: Literal["moving", "unrecorded"]) -> dict[str, float | None]:
         """Let arms follow their legs; return the motion time at which each rested early [s], None if at its end."""
-        paths = {name: (leg.q, leg.arm.path_period_s) for name, leg in legs.items()}
-        reached = self.mover.follow(paths, look)
+        own, clock = next(iter(legs.values())), self.mover.cell.clock
+        began_s: float | None = None
+
+        def look() -> None:
+            nonlocal began_s
+            now_s = clock.now_s()
+            began_s = now_s if began_s is None else began_s
+            done_s = np.interp((now_s - began_s) / own.arm.path_period_s, np.arange(len(own.s_s)), own.s_s)
+            self._report(state=state, done_s=float(done_s))
+
+        reached = self.mover.follow({name: (leg.q, leg.arm.path_period_s) for name, leg in legs.items()}, look)
         return {name: leg.at_s(reached[name]) for name, leg in legs.items()}
 
-    def _recorded(self, legs: Mapping[str, _Leg], live: LiveSweep) -> tuple[SweepPart, Mapping[str, float | None]]:
+    def _report(self, **now: Any) -> None:
+        self.live = replace(self.live, **now)
+        self.tell(self.live)
+
+    def _recorded(self, legs: Mapping[str, _Leg]) -> tuple[SweepPart, Mapping[str, float | None]]:
         """Let arms follow their legs while recording; the tracker follows the first one.
 
         Return the part, and where each arm came to rest as ``_follow``.
         """
-        name, streaming = next(iter(legs)), stream_of(self.cell.tracker)
-        own, arms = legs[name], {one: leg.arm for one, leg in legs.items()}
+        mover, arms = self.mover, {one: leg.arm for one, leg in legs.items()}
+        name, streaming = next(iter(legs)), stream_of(mover.cell.tracker)
         assert streaming is not None
-        beam, recorded = Beam([*arms.values()], self.reaction), dict[str, RecordingArm]()
-        one = name
+        beam = Beam([*arms.values()], mover.reaction)
         try:
-            for one, arm in arms.items():
-                arm.start_recording()
-                recorded[one] = arm
-            later_s = self._later_s(arms)
-            expected_M = predicted_smr(self.bodies, name, own.q[:1])[0]
+            mover.ask_all({one: arm.start_recording for one, arm in arms.items()})
+            states = mover.ask_all({one: arm.state for one, arm in arms.items()})
+            expected_M = predicted_smr(mover.bodies, name, legs[name].q[:1])[0]
             streaming.start_track(expected_M, self.interval_s, beam.lost, beam.received)
-            self._rest()
+            mover.wait(_REST_S)
             self._require_own(name, beam, expected_M)
-            reached = self._follow(legs, live.looking(self.cell.clock, own.s_s, own.arm.path_period_s))
-            self._rest()
-            records = {}
-            for one in [*recorded]:
-                records[one] = recorded.pop(one).end_recording()
+            reached = self._follow(legs, "moving")
+            mover.wait(_REST_S)
+            records = mover.ask_all({one: arm.end_recording for one, arm in arms.items()})
             track = streaming.end_track()
-        except ArmError as error:
-            self._give_up(recorded.values(), streaming)
-            raise self.mover.stop_cell(cause_of(one, error)) from error
-        except BaseException:
-            self._give_up(recorded.values(), streaming)
+        except BaseException:  # the original error is the one to report
+            for arm in arms.values():
+                with suppress(ArmError):
+                    arm.end_recording()
+            with suppress(TrackerError):
+                streaming.end_track()
             raise
-        live.ended(reached[name])
-        stamps_s = records[name].time_s
-        beside = [rows_at(stamps_s, its.time_s + later_s[one], its.q) for one, its in records.items() if one != name]
-        return SweepPart(records[name], track, reached[name], *beside), reached
-
-    def _later_s(self, arms: Mapping[str, Arm]) -> dict[str, float]:
-        """Return the offset of the first controller's clock from each one's [s], accurate to some control cycles."""
-        states = {name: arm.state().time_s for name, arm in arms.items()}
-        first_s = next(iter(states.values()))
-        return {name: first_s - its_s for name, its_s in states.items()}
-
-    def _rest(self) -> None:
-        """Rest while recording."""
-        self.cell.clock.wait(_REST_S, self.control.wait)
-        self.control.check()
-        self.reaction.check()
+        if (reached_s := reached[name]) is None:
+            self._report(state="done", done_s=self.live.duration_s)
+        else:
+            self._report(state="searching", done_s=reached_s, lost_beams=self.live.lost_beams + 1)
+        own = records.pop(name)
+        later_s = {one: states[name].time_s - its.time_s for one, its in states.items()}  # to some control cycles
+        beside = [rows_at(own.time_s, its.time_s + later_s[one], its.q) for one, its in records.items()]
+        return SweepPart(own, track, reached_s, *beside), reached
 
     def _require_own(self, name: str, beam: Beam, expected_M: Array) -> None:
         """Check that points arrive and belong to this arm's SMR. Raise ``TrackerError`` if not."""
-        self.cell.tracker.confirm(_FIRST_POINT_S)
+        self.mover.cell.tracker.confirm(_FIRST_POINT_S)
         if beam.error is not None:
             raise beam.error
         if beam.first is None:
@@ -329,15 +281,6 @@ class SweepDriver:
             raise WrongTarget(
                 f"arm {name}: the tracker locked an SMR {off_m * 1e3:.0f} mm from where this one should be"
             )
-
-    @staticmethod
-    def _give_up(recorded: Iterable[RecordingArm], streaming: StreamingTracker) -> None:
-        """End all recordings; ignore errors, because the original error is the one to report."""
-        for arm in recorded:
-            with suppress(ArmError):
-                arm.end_recording()
-        with suppress(TrackerError):
-            streaming.end_track()
 
 
 def _rest_of(sweep: Sweep, from_s: float, period_s: float) -> tuple[Array, Array]:
@@ -374,14 +317,15 @@ class Sweeps:
     for whoever watches, with a sentence."""
 
     def __init__(
-        self, run: RunFile, driver: SweepDriver, session: int, note: Say, tell: Callable[[SweepLive, str], None]
+        self, run: RunFile, mover: Mover, session: int, note: Say, tell: Callable[[SweepLive, str], None]
     ) -> None:
-        self._run, self._driver, self._note = run, driver, note
+        self._run, self._mover, self._note = run, mover, note
         self._tell: Callable[[SweepLive], None] = lambda live: tell(live, sweep_sentence(live))
+        self._interval_s = 1.0 / run.profile.collection.motion_rate
         self._session = f"sweeps-{session}"
         self._waiting = due_sweeps(run)
-        if self._waiting and driver.cell.record_sweep is None:
-            why = why_no_sweeps(driver.cell, driver.interval_s)
+        if self._waiting and mover.cell.record_sweep is None:
+            why = why_no_sweeps(mover.cell, self._interval_s)
             if why:
                 note(f"sweeps are left out: {why}; record the motion with your own programs and import it")
                 self._waiting = {}
@@ -403,7 +347,7 @@ class Sweeps:
             checkpoint()
             sweep = waiting[0]
             motions = self._motions(sweep, at)
-            if reason := refuse_sweep(self._driver.bodies, motions, at, self._driver.cell.gate):
+            if reason := refuse_sweep(self._mover.bodies, motions, at, self._mover.cell.gate):
                 self._note(f"stop {stop + 1}: the sweep of arm {sweep.arm} is left out: {reason}")
             elif self._record(sweep, motions, at):
                 recorded.append(sweep.arm)
@@ -418,17 +362,16 @@ class Sweeps:
 
     def _motions(self, sweep: PlannedSweep, at: Mapping[str, Array]) -> dict[str, Sweep]:
         """Return the planned motions of all moving arms, slowed down during a slow start."""
-        speed = self._driver.mover.speed
+        speed = self._mover.speed
         planned = sweep.motions(at)
         return {name: replace(motion, period_s=motion.period_s / speed) for name, motion in planned.items()}
 
     def _record(self, sweep: PlannedSweep, motions: Mapping[str, Sweep], at: Mapping[str, Array]) -> bool:
         """Record one sweep about the stop ``at``; return whether anything was stored."""
         motion = motions[sweep.arm]
-        begins = SweepLive(sweep.stop, sweep.arm, sweep.name, duration_s=motion.period_s)
-        self._tell(begins)
-        live = LiveSweep(begins, self._tell)
-        calculated = self._driver.cell.record_sweep
+        live = SweepLive(sweep.stop, sweep.arm, sweep.name, duration_s=motion.period_s)
+        self._tell(live)
+        calculated = self._mover.cell.record_sweep
         if calculated is not None:
             paths = {name: its.at(its.times(CYCLE_S)) for name, its in motions.items()}
             own = paths.pop(sweep.arm)
@@ -437,10 +380,10 @@ class Sweeps:
             joints = _joint_columns(found.joint_time_s, q=found.q, qd=found.qd, other_q=beside)
             points = _point_columns(found.point_time_s, found.p_M, found.sigma_m)
             store_recording(self._run, self._checked(sweep.arm, sweep.name, joints, points))
-            live.ended()
+            self._tell(replace(live, state="done", done_s=live.duration_s))
             return True
         stored = 0
-        for part in self._driver.drive(motions, self._note, live):
+        for part in DrivenSweep(self._mover, self._interval_s, motions, self._note, self._tell, live).parts():
             beside = self._beside(sweep, at, len(part.joints.q), part.beside)
             stored += self._stored(sweep, replace(part, beside=beside))
         return stored > 0
@@ -470,7 +413,7 @@ class Sweeps:
             return False
         state = recorded.state.model_copy(update={"part_of": sweep.name, "reached_s": part.reached_s})
         store_recording(self._run, replace(recorded, state=state))
-        missing = track.missing(self._driver.interval_s)
+        missing = track.missing(self._interval_s)
         if joints.missing or missing:
             self._note(
                 f"{name} of arm {sweep.arm}: {counted(joints.missing, 'sample')} of the joints and"
@@ -514,73 +457,54 @@ MOST_RUNS = 4
 """Maximum number of runs of a path: one, and another one after each break of the beam."""
 
 
-@dataclass(frozen=True, eq=False)
-class PathDriver:
-    """Drives paths in an open cell."""
+def drive_path(
+    mover: Mover,
+    name: str,
+    trajectory: Trajectory,
+    begin: Callable[[], None],
+    start_M: Array,
+    interval_s: float = INTERVAL_S,
+) -> PathTrack:
+    """Let an arm follow a path, and measure its SMR every ``interval_s`` [s].
 
-    cell: Cell
-    mover: Mover
-    reaction: StopReaction
-    control: JobControl
+    ``begin`` moves the arm to the path's beginning, where its SMR is at ``start_M`` (3,) [m]. If the beam breaks, the
+    arm slows down along the path and rests; its SMR is measured there, and the whole path is driven again. The tracker
+    must be able to measure a moving SMR.
 
-    def drive(
-        self,
-        name: str,
-        trajectory: Trajectory,
-        begin: Callable[[], None],
-        start_M: Array,
-        interval_s: float = INTERVAL_S,
-    ) -> PathTrack:
-        """Let an arm follow a path, and measure its SMR every ``interval_s`` [s].
-
-        ``begin`` moves the arm to the path's beginning, where its SMR is at ``start_M`` (3,) [m]. If the beam breaks,
-        the arm slows down along the path and rests; its SMR is measured there, and the whole path is driven again. The
-        tracker must be able to measure a moving SMR.
-
-        Raises
-        ------
-        MotionRefused
-            If the gate refuses.
-        TargetLost, WrongTarget
-            If the SMR is not seen at the beginning, or the beam broke in all ``MOST_RUNS`` runs.
-        CellStopped
-            As ``Mover.follow``, and if an SMR is not found again after a break of the beam.
-        """
-        streaming, follower = stream_of(self.cell.tracker), self.cell.arms[name]
-        assert streaming is not None
-        assert isinstance(follower, PathFollower)
-        for lost_beams in range(MOST_RUNS):
-            begin()
-            beam = Beam([follower], self.reaction)
-            streaming.start_track(start_M, interval_s, beam.lost)
-            began_s = self.cell.clock.now_s()
-            try:
-                self.mover.follow({name: (trajectory.q, trajectory.period_s)})
-            except BaseException:
-                with suppress(TrackerError):  # report why the arm did not reach the end, not this
-                    streaming.end_track()
-                raise
-            track = streaming.end_track()
-            if beam.error is None:
-                within = (track.time_s >= began_s) & (track.time_s <= began_s + trajectory.duration_s)
-                track = track.within(within)
-                return PathTrack(track.time_s, track.p_M, lost_beams)
-            self._find_again(name)
-        raise TargetLost(
-            f"arm {name}: the beam broke each of the {counted(MOST_RUNS, 'time')} that this path was driven; it is not"
-            " measured. Look for what crosses the beam along it"
-        )
-
-    def _find_again(self, name: str) -> None:
-        """Measure the SMR where the arm rests; stop the cell if it is not found."""
+    Raises
+    ------
+    MotionRefused
+        If the gate refuses.
+    TargetLost, WrongTarget
+        If the SMR is not seen at the beginning, or the beam broke in all ``MOST_RUNS`` runs.
+    CellStopped
+        As ``Mover.follow``, and if an SMR is not found again after a break of the beam.
+    """
+    streaming, follower, clock = stream_of(mover.cell.tracker), mover.cell.arms[name], mover.cell.clock
+    assert streaming is not None
+    assert isinstance(follower, PathFollower)
+    for lost_beams in range(MOST_RUNS):
+        begin()
+        beam = Beam([follower], mover.reaction)
+        streaming.start_track(start_M, interval_s, beam.lost)
+        began_s = clock.now_s()
         try:
-            find_again(self.cell, self.mover, self.control, name)
+            mover.follow({name: (trajectory.q, trajectory.period_s)})
+        except BaseException:
+            with suppress(TrackerError):  # report why the arm did not reach the end, not this
+                streaming.end_track()
+            raise
+        track = streaming.end_track()
+        if beam.error is None:
+            track = track.within((track.time_s >= began_s) & (track.time_s <= began_s + trajectory.duration_s))
+            return PathTrack(track.time_s, track.p_M, lost_beams)
+        try:
+            find_again(mover, name)
         except (TargetLost, WrongTarget) as error:
-            raise self.mover.stop_cell(
-                StopCause(
-                    "tracker",
-                    f"arm {name}: the beam broke while it followed a path, and its SMR is not found again: {error};"
-                    " look for what covers it, then begin again",
-                    name,
-                )
-            ) from error
+            text = f"arm {name}: the beam broke while it followed a path, and its SMR is not found again: {error}"
+            text += "; look for what covers it, then begin again"
+            raise mover.stop_cell(StopCause("tracker", text, name)) from error
+    raise TargetLost(
+        f"arm {name}: the beam broke each of the {counted(MOST_RUNS, 'time')} that this path was driven; it is not"
+        " measured. Look for what crosses the beam along it"
+    )

@@ -15,7 +15,7 @@ import numpy as np
 
 from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.cell_checks import require_same_arms
-from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover, Vector
+from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover, Targets, Vector, Way
 from cellapp.cell.driving.supervision import moving_cell
 from cellapp.cell.driving.verification import (
     Agreement,
@@ -31,8 +31,7 @@ from cellapp.cell.driving.verification import (
     rms_error_m,
     summary_of,
 )
-from cellapp.cell.planning.planned_stops import tell_time, visits_s
-from cellapp.cell.safety.cell_bodies import home_positions
+from cellapp.cell.planning.planned_stops import orders, tell_time, visits_s
 from cellapp.cell.targets.invert import invert_model, with_approach
 from cellapp.cell.targets.prediction import Command
 from cellapp.cell.targets.ranges import conditions_of
@@ -49,8 +48,6 @@ from cellapp.robot.model import ArmModel, CellModel
 from drivers.arms.protocol import ArmState
 from drivers.trackers.protocol import TargetLost, TrackerError, WrongTarget
 
-Targets = Mapping[str, Vector]
-"""Arm -> joint positions (N,) [rad]."""
 Sides = Mapping[str, Vector]
 """Arm -> requested signs (N,) of each joint's last motion, 0 if it does not matter; arms left out have no request."""
 CommandFrom = Callable[[str, Vector], Vector]
@@ -61,68 +58,41 @@ _STEPS_BACK_RAD = (np.radians(1.0), np.radians(0.25))
 The second one is for arms that are close to something."""
 
 
-@dataclass(frozen=True)
-class Driver:
-    """Drives arms to their commands; ``homes`` are the home positions of all arms."""
+def drive_to(
+    mover: Mover, names: Sequence[str], command: CommandFrom, sides: Sides, step_rad: float = _STEPS_BACK_RAD[0]
+) -> dict[str, ArmState]:
+    """Drive ``names`` to their commands from the given sides, the others home first. Return their states at rest.
 
-    mover: Mover
-    homes: Targets
+    The last motion of each joint is ``step_rad`` times its side [rad]. Only motions after which the arms can move home
+    again are allowed.
 
-    def to(
-        self, names: Sequence[str], command: CommandFrom, sides: Sides, step_rad: float = _STEPS_BACK_RAD[0]
-    ) -> dict[str, ArmState]:
-        """Drive ``names`` to their commands from the given sides, the others home first. Return their states at rest.
+    Raises
+    ------
+    MotionRefused
+        If the gate accepts no way to the commands.
+    CellStopped
+        As ``Mover.move``.
+    """
+    q = mover.positions()
+    away = [name for name in q if name not in names and not mover.rests_at({name: mover.homes[name]})]
+    if away:
+        mover.go_home(away)
+    try:
+        return _drive(mover, {name: command(name, q[name]) for name in names}, sides, step_rad)
+    except MotionRefused:
+        mover.go_home(names)
+        return _drive(mover, {name: command(name, mover.homes[name]) for name in names}, sides, step_rad)
 
-        The last motion of each joint is ``step_rad`` times its side [rad]. Only motions after which the arms can move
-        home again are allowed.
 
-        Raises
-        ------
-        MotionRefused
-            If the gate accepts no way to the commands.
-        CellStopped
-            As ``Mover.move``.
-        """
-        q = self.mover.positions()
-        away = [name for name in q if name not in names and not self.mover.rests_at({name: self.homes[name]})]
-        if away:
-            self.mover.go_home(away)
-        way, refusal = self._accepted({name: command(name, q[name]) for name in names}, sides, step_rad)
-        if not way:
-            self.mover.go_home(names)
-            way, refusal = self._accepted({name: command(name, self.homes[name]) for name in names}, sides, step_rad)
-        return self._along(way, refusal)
+def drive_back(mover: Mover, targets: Targets, sides: Sides) -> dict[str, ArmState]:
+    """Drive arms that are near ``targets`` to them, from the given sides. Return and raise as ``drive_to``."""
+    return _drive(mover, targets, sides, *_STEPS_BACK_RAD)
 
-    def back_to(self, targets: Targets, sides: Sides) -> dict[str, ArmState]:
-        """Drive arms that are near ``targets`` to them, from the given sides. Return and raise as ``to``."""
-        way, refusal = self._accepted(targets, sides)
-        if not way:
-            way, _ = self._accepted(targets, sides, _STEPS_BACK_RAD[1])
-        return self._along(way, refusal)
 
-    def _accepted(
-        self, targets: Targets, sides: Sides, step_rad: float = _STEPS_BACK_RAD[0]
-    ) -> tuple[list[Targets], str]:
-        """Return the first way that the gate accepts together with a way home; if none, an empty list and why not."""
-        legs = {name: [q] for name, q in targets.items()}
-        if any(np.any(sides[name]) for name in targets if name in sides):
-            legs = {name: [before_side(q, sides.get(name), step_rad), q] for name, q in targets.items()}
-        first = ""
-        for way in _ways(legs):
-            for order in permutations(targets):
-                refusal = self.mover.refusal(*way, *({name: self.homes[name]} for name in order))
-                if not refusal:
-                    return way, ""
-                first = first or refusal
-        return [], first
-
-    def _along(self, way: Sequence[Targets], refusal: str) -> dict[str, ArmState]:
-        if not way:
-            raise MotionRefused(f"refused to move: {refusal}")
-        states: dict[str, ArmState] = {}
-        for leg in way:
-            states |= self.mover.move(leg)
-        return states
+def _drive(mover: Mover, targets: Targets, sides: Sides, *steps_rad: float) -> dict[str, ArmState]:
+    """Drive arms the first way that the gate accepts together with a way home, with the first step back if it can."""
+    ways = [way for step_rad in steps_rad for way in _ways(targets, sides, step_rad)]
+    return mover.along(ways, [*orders({name: mover.homes[name] for name in targets})])
 
 
 def before_side(q: Vector, sides: Vector | None, step_rad: float = _STEPS_BACK_RAD[0]) -> Vector:
@@ -135,12 +105,14 @@ def arrival(q: Vector, start: Vector, sides: Vector | None) -> Vector:
     return start if sides is None else np.where(sides != 0, before_side(q, sides), start)
 
 
-def _ways(legs: Mapping[str, Sequence[Vector]]) -> Iterator[list[Targets]]:
-    """Yield all arms at once, then one after the other in every order; ``legs`` are the positions of each arm."""
-    yield [dict(zip(legs, leg, strict=True)) for leg in zip(*legs.values(), strict=True)]
-    if len(legs) > 1:
-        for order in permutations(legs):
-            yield [{name: leg} for name in order for leg in legs[name]]
+def _ways(targets: Targets, sides: Sides, step_rad: float) -> Iterator[Way]:
+    """Yield all arms at once, then one after the other in every order; with a step back if a side is requested."""
+    legs = [targets]
+    if any(np.any(sides[name]) for name in targets if name in sides):
+        legs.insert(0, {name: before_side(q, sides.get(name), step_rad) for name, q in targets.items()})
+    yield legs
+    for order in permutations(targets) if len(targets) > 1 else ():
+        yield [{name: leg[name]} for name in order for leg in legs]
 
 
 States = dict[str, ArmState]
@@ -150,15 +122,10 @@ _UNSEEN = "not measured: the tracker does not see the SMR there"
 
 @dataclass(frozen=True)
 class TargetVisit:
-    """Visits targets with the arms of an open cell; the parameters are those of ``push``.
-
-    ``hold`` is called between motions: it waits while a person pauses.
-    """
+    """Visits targets with the arms of an open cell; the parameters are those of ``push``."""
 
     model: CellModel
-    driver: Driver
-    control: JobControl
-    hold: Callable[[], None]
+    mover: Mover
     verify: bool
     rounds: int
     repeatability_m: Mapping[str, float]
@@ -196,8 +163,7 @@ class TargetVisit:
         Arriving from the nominal commands, the joints would move by less than their backlash, which would stay open.
         """
         states, sent = self._go("compensated", found)
-        mover = self.driver.mover
-        found.driven = {name: (q, mover.approach(name).astype(np.float64)) for name, q in sent.items()}
+        found.driven = {name: (q, self.mover.approach[name].astype(np.float64)) for name, q in sent.items()}
         if not self.verify:
             return
         found.rounds.append(self._measure("compensated", found, states, sent))
@@ -221,14 +187,14 @@ class TargetVisit:
                 sent[name] = with_approach(self.model.arms[name], sent[name], here, one.conditions)
             return sent[name]
 
-        return self.driver.to(list(found.commands), command, sides), sent
+        return drive_to(self.mover, list(found.commands), command, sides), sent
 
     def _sides(self, found: Findings) -> dict[str, Vector]:
         """Return the sides from which arms arrive: as stated; else, if they matter to the model, those of the way.
 
         The last motion is then short, as at most stops of a plan: effects that depend on its size are known there.
         """
-        here = self.driver.mover.positions()
+        here = self.mover.positions()
         sides = {}
         for name, command in found.commands.items():
             if command.stated_approach is not None:
@@ -240,7 +206,7 @@ class TargetVisit:
     def _measure(self, kind: CommandKind, found: Findings, states: States, sent: Mapping[str, Vector]) -> Rest:
         """Measure the SMRs of arms at rest; an SMR that cannot be measured becomes a note of its arm."""
         rest: dict[str, Measured] = {}
-        mover = self.driver.mover
+        mover = self.mover
         for name, command in found.commands.items():
             nominal = kind == "nominal"
             wanted_M = command.nominal_M if nominal else command.expected_M
@@ -248,7 +214,7 @@ class TargetVisit:
                 continue
             dwell_s = conditions_of(command.target, name).dwell
             if dwell_s is not None:
-                mover.rest(name, dwell_s, self.control)
+                mover.rest(name, dwell_s)
             try:
                 point = mover.measure(name, states[name].q)
             except TrackerError as error:
@@ -259,7 +225,7 @@ class TargetVisit:
             rest[name] = Measured(
                 sent=sent[name],
                 q=point.q,
-                approach=mover.approach(name).astype(np.float64),
+                approach=mover.approach[name].astype(np.float64),
                 wanted_M=wanted_M,
                 predicted_M=predict_at_rest(self.model, mover, name, states[name], point),
                 point=point,
@@ -285,7 +251,7 @@ class TargetVisit:
             names = unexplained(last, list(last), before_M)
             if not names:
                 return
-            self.hold()
+            self.mover.hold()
             try:
                 if len(found.rounds) == 1:
                     last = self._again(found, states, {name: one.sent for name, one in first.items()}, list(first))
@@ -321,7 +287,7 @@ class TargetVisit:
         sides = {name: found.rounds[0][name].approach for name in names}
         each: list[Rest] = []
         for _ in range(REPEATS):
-            states |= self.driver.back_to({name: sent[name] for name in names}, sides)
+            states |= drive_back(self.mover, {name: sent[name] for name in names}, sides)
             each.append(self._measure("compensated", found, states, sent))
             if len(each[-1]) < len(sent):
                 return {}
@@ -505,28 +471,22 @@ def push(
         raise InputError("push: none of the targets can be commanded: " + commands[0].refusal)
     by_target = grouped((command.target.name, command) for command in commands)
     judge, agreement, total, stopped = judge or Judge(profile), Agreement(), len(by_target), ""
-    with moving_cell(profile, model, control, confirm=confirm, opened=opened) as moving:
+    with moving_cell(profile, model, control, confirm=confirm, opened=opened) as mover:
         visit = TargetVisit(
-            model=model,
-            driver=Driver(moving.mover, home_positions(profile)),
-            control=control,
-            hold=moving.hold,
-            verify=verify,
-            rounds=rounds,
-            repeatability_m=repeatability_m or {},
+            model=model, mover=mover, verify=verify, rounds=rounds, repeatability_m=repeatability_m or {}
         )
         if verify:
             sent = [{one.arm: q} for one in commands for q in (one.q_nominal, one.q_compensated) if q is not None]
             tell_time(control, "push", profile, visits_s(profile, sent), 0, total)
         for done, (name, own) in enumerate(by_target.items()):
-            visit.hold()
-            moving.mover.slow_start(done)
+            mover.hold()
+            mover.slow_start(done)
             control.tell("push", done, total, name)
             found = visit.to(own)
             visited.add(found, judge, verify=verify)
             agreement.add(found.contradictions())
             if stopped := agreement.broken(ended=done + 1 == total):  # measurements contradict the model
                 break
-        moving.mover.go_home()
+        mover.go_home()
     control.tell("push", total, total, "done")
     return visited.result(stopped)

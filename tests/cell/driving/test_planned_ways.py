@@ -25,7 +25,7 @@ from cellapp.cell.safety.gate import CellBodies, refuse_motion
 from cellapp.ground.control import JobControl, Stopped
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import Cancelled, JobToken, MotionBegun, Progress
+from cellapp.ground.progress import Cancelled, MotionBegun, Progress
 from drivers.arms.simulated import SimulatedArm
 from drivers.clock import RealClock
 from tests.cell.planning.planned_cells import drivable_stops
@@ -239,8 +239,9 @@ def test_the_rest_of_a_real_arm_ends_on_cancellation() -> None:
     with open_cell(profile) as cell:
         real = Cell(cell.arms, cell.tracker, RealClock())
         reaction = StopReaction(cell.arms, cell.tracker, one_by_one)
-        mover, token = Mover(profile, real, cell_bodies(profile), reaction), JobToken()
-        mover.rest("left", 0.0, token)
-        token.cancel()
+        control = JobControl()
+        mover = Mover(profile, real, cell_bodies(profile), reaction, control)
+        mover.rest("left", 0.0)
+        control.cancel()
         with pytest.raises(Cancelled):
-            mover.rest("left", 600.0, token)
+            mover.rest("left", 600.0)

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from cellapp.cell.driving.live_model import Suspicions
-from cellapp.cell.driving.measuring import ReferenceWatch
+from cellapp.cell.driving.measuring import reference_jumps
 from cellapp.cell.driving.tracker_watch import TrackerMonitor, unwatched, watched
 from cellapp.estimation.calibration.online import OnlineFit
 from cellapp.ground.progress import Suspicion
@@ -281,21 +281,22 @@ def test_smrs_that_are_swapped_from_the_start_fit_no_geometry():
 
 
 NESTS = {"n1": np.array([1.0, 0.0, 0.0]), "n2": np.array([0.0, 2.0, 0.0])}
-HOMES = {"left": np.array([3.0, 1.0, 0.0]), "right": np.array([3.0, -1.0, 0.0])}
+HOMES = {"arm left": np.array([3.0, 1.0, 0.0]), "arm right": np.array([3.0, -1.0, 0.0])}
 
 
 def references(*shifts: Mapping[str, float]) -> list[list[tuple[str, str | None]]]:
     """Kind and arm of what is raised at each reference measurement; shifts [m] of references from their places."""
-    watch = ReferenceWatch(100e-6)
     found: list[list[tuple[str, str | None]]] = []
+    before: dict[str, np.ndarray] = {}
     for shift in shifts:
         points = {name: p + np.array([0.0, 0.0, shift.get(name, 0.0)]) for name, p in (NESTS | HOMES).items()}
-        found.append([(one.kind, one.arm) for one in watch.at_reference(points, HOMES)])
+        found.append([(one.kind, one.arm) for one in reference_jumps(before, points, 100e-6)])
+        before = points
     return found
 
 
 def test_references_that_stand_still_raise_nothing():
-    assert references({}, {"n1": 50e-6}, {"left": -50e-6}) == [[], [], []]
+    assert references({}, {"n1": 50e-6}, {"arm left": -50e-6}) == [[], [], []]
     creep = [dict.fromkeys(NESTS, size) for size in (0.0, 60e-6, 120e-6, 130e-6)]
     assert references(*creep) == [[], [], [], []], "a drift suspends the job"
 
@@ -306,5 +307,5 @@ def test_all_references_that_jump_mean_the_tracker_and_once():
 
 
 def test_one_reference_that_jumps_means_its_own_smr():
-    assert references({}, {"left": 0.3e-3}) == [[], [("loose SMR", "left")]]
+    assert references({}, {"arm left": 0.3e-3}) == [[], [("loose SMR", "left")]]
     assert references({}, {"n1": 0.3e-3}) == [[], [("loose SMR", None)]]

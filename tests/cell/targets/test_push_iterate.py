@@ -15,7 +15,7 @@ import pytest
 from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.driving.motion import Mover
 from cellapp.cell.driving.supervision import moving_cell
-from cellapp.cell.driving.sweeping import MOST_RUNS, PathDriver
+from cellapp.cell.driving.sweeping import MOST_RUNS, drive_path
 from cellapp.cell.driving.target_visit import push
 from cellapp.cell.exports.export_format import first_rates
 from cellapp.cell.run import RunFile
@@ -284,16 +284,15 @@ def off_m(run: RunFile, model: CellModel, plan: PathPlan) -> Array:
     """Distances (n,) [m] of the measured SMR from a path that the simulated arm follows."""
     control = JobControl()
     path, trajectory, before = plan.path, plan.trajectory, plan.run_up
-    with moving_cell(run.profile, model, control, slow_visits=None) as moving:
+    with moving_cell(run.profile, model, control, slow_visits=None) as mover:
 
         def begin() -> None:
             for q in (sure(before), sure(trajectory).q[0]):
-                moving.mover.go_home_unless_clear("right", q)
-                moving.mover.move({"right": q})
+                mover.go_home_unless_clear("right", q)
+                mover.move({"right": q})
 
-        driver = PathDriver(moving.cell, moving.mover, moving.reaction, control)
-        found = driver.drive("right", sure(trajectory), begin, sure(path).positions(np.zeros(1))[0])
-        clearance = sure(plant_of(moving.cell).clearance)
+        found = drive_path(mover, "right", sure(trajectory), begin, sure(path).positions(np.zeros(1))[0])
+        clearance = sure(plant_of(mover.cell).clearance)
         assert min(clearance.arms_m, clearance.floor_m) > 0.0
     return distances_m(sure(path), found.p_M)
 

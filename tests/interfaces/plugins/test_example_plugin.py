@@ -21,6 +21,7 @@ from cellapp.cell.driving.reaction import StopReaction
 from cellapp.cell.profile import load_profile
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.estimation.calibration.calibrate import provenance_of
+from cellapp.ground.control import JobControl
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects.registry import program_of
 from drivers.arms.protocol import Arm, ArmError, LimitExceeded, LinkLost, MotionStopped
@@ -138,7 +139,8 @@ def test_the_safety_gate_keeps_it_from_colliding(profile: Profile, controller: L
     down = np.array([0.0, math.pi / 2.0, 0.0, 0.0, 0.0, 0.0])
     with open_cell(profile) as cell:
         bodies = cell_bodies(profile)
-        mover = Mover(profile, cell, bodies, StopReaction(cell.arms, cell.tracker, cell.together))
+        reaction = StopReaction(cell.arms, cell.tracker, cell.together)
+        mover = Mover(profile, cell, bodies, reaction, JobControl())
         with pytest.raises(MotionRefused, match=r"arm left: .* floor"):
             mover.move({"left": down, "right": HOME})
         assert controller.commands == []

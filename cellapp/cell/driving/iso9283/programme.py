@@ -18,9 +18,9 @@ far as all constraints hold: so all poses are on one branch of the inverse kinem
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from itertools import pairwise, product
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import chain, product
 
 import numpy as np
 import scipy
@@ -189,6 +189,11 @@ _WITHIN = np.linspace(-0.5, 0.5, 3)
 REACH, LIMITS, BODIES, VIEW = "out of reach", "joint limits", "clearance", "not seen by the tracker"
 
 
+Key = tuple[int, int, int]
+"""Position on a lattice."""
+_NEIGHBOURS = ((-1, 0, 0), (1, 0, 0), (0, -1, 0), (0, 1, 0), (0, 0, -1), (0, 0, 1))
+
+
 @dataclass(frozen=True, eq=False)
 class Region:
     """Positions that an arm reaches with one orientation.
@@ -203,9 +208,9 @@ class Region:
         SMR of the seed in the base frame [m].
     step : float
         Lattice step [m].
-    q : mapping
+    q : dict
         Lattice position -> joint positions (N,) [rad], for positions where all constraints hold.
-    refused : mapping
+    refused : dict
         Adjacent lattice position -> constraint that is violated there.
     """
 
@@ -213,8 +218,8 @@ class Region:
     rotation_M: Array
     origin_B: Array
     step: float
-    q: Mapping[tuple[int, int, int], Array]
-    refused: Mapping[tuple[int, int, int], str]
+    q: dict[Key, Array] = field(default_factory=dict)
+    refused: dict[Key, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -309,46 +314,35 @@ class CubeSearch:
         if geometry.joints < 6:
             rotation_M = np.full((3, 3), np.nan)
         step = _arm_length(nominal) / _STEPS_ALONG
-        region = Region(nominal, rotation_M, origin_B, step, {}, {})
+        region = Region(nominal, rotation_M, origin_B, step)
         start, reached = _solve(region, origin_B[None], q[None])
         if not reached[0] or self.holds(start)[0]:
             return None
-        known: dict[tuple[int, int, int], Array] = {(0, 0, 0): start[0]}
-        refused: dict[tuple[int, int, int], str] = {}
-        frontier = [(0, 0, 0)]
+        region.q[0, 0, 0] = start[0]
+        frontier: list[Key] = [(0, 0, 0)]
         while frontier:
-            frontier = self._step(region, known, refused, frontier)
-        return replace(region, q=known, refused=refused)
+            frontier = self._step(region, frontier)
+        return region
 
-    def _step(
-        self,
-        region: Region,
-        known: dict[tuple[int, int, int], Array],
-        refused: dict[tuple[int, int, int], str],
-        frontier: list[tuple[int, int, int]],
-    ) -> list[tuple[int, int, int]]:
+    def _step(self, region: Region, frontier: list[Key]) -> list[Key]:
         """Continue to the lattice neighbours of ``frontier``; return those where all constraints hold."""
-        new: dict[tuple[int, int, int], Array] = {}
-        for place in frontier:
-            for axis, sign in product(range(3), (-1, 1)):
-                beside = list(place)
-                beside[axis] += sign
-                key = (beside[0], beside[1], beside[2])
-                if key not in known and key not in refused and key not in new:
-                    new[key] = known[place]
+        new: dict[Key, Array] = {}
+        for (i, j, k), (di, dj, dk) in product(frontier, _NEIGHBOURS):
+            key = (i + di, j + dj, k + dk)
+            if key not in region.q and key not in region.refused:
+                new.setdefault(key, region.q[i, j, k])
         if not new:
             return []
-        keys, starts = list(new), np.array(list(new.values()))
-        q, reached = _solve(region, region.origin_B + region.step * np.array(keys, dtype=np.float64), starts)
-        near = np.abs(q - starts).max(axis=1) <= _LARGEST_STEP_RAD
-        ok_at = (reached & near).tolist()
-        words = self.holds(np.where((reached & near)[:, None], q, 0.0))
-        for key, at, ok, word in zip(keys, q, ok_at, words, strict=True):
+        starts = np.array(list(new.values()))
+        q, reached = _solve(region, region.origin_B + region.step * np.array(list(new), dtype=np.float64), starts)
+        reached &= np.abs(q - starts).max(axis=1) <= _LARGEST_STEP_RAD
+        words = self.holds(np.where(reached[:, None], q, 0.0))
+        for key, at, ok, word in zip(new, q, reached.tolist(), words, strict=True):
             if ok and not word:
-                known[key] = at
+                region.q[key] = at
             else:
-                refused[key] = word if ok else REACH
-        return [key for key in keys if key in known]
+                region.refused[key] = word if ok else REACH
+        return [key for key in new if key in region.q]
 
     def _on_lattice(self, region: Region) -> FoundCube:
         """Return the largest cube of the lattice."""
@@ -534,21 +528,14 @@ def _approaches(positions: dict[str, Array], edge: float) -> dict[str, Array]:
 
 def _ways(search: CubeSearch, q: dict[str, Array]) -> Iterator[tuple[dict[str, Array], dict[str, Array]]]:
     """Yield all straight motions of the tests, the other arms at home, and those from every position home."""
-    names: Sequence[str] = [CYCLE[-1], *CYCLE]
-    legs = [*pairwise(names), ("P2", "P4"), ("P4", "P2")]
-    before = approach_sequence()
-    legs += list(pairwise([*before, before[0]]))
     homes = dict(search.homes)
-    for first, second in dict.fromkeys(legs):
-        yield {**homes, search.name: q[first]}, {**homes, search.name: q[second]}
+    for position, before in legs():
+        yield {**homes, search.name: q[before]}, {**homes, search.name: q[position]}
     for at in q.values():
         yield {**homes, search.name: at}, homes
 
 
-def approach_sequence() -> list[str]:
-    """Return all positions of one multi-directional cycle: before each visit the start of its approach."""
-    visits = product(DIRECTIONAL_POSES, DIRECTIONS)
-    return [name for pose, direction in visits for name in (approach_name(pose, direction), pose)]
+# -- Commands of one arm, and the motions of each test ----------------------------------------------------------------
 
 
 def arm_programme(
@@ -605,64 +592,75 @@ class Visit:
     cycle: int
 
 
+_DISTANCE = ("P2", "P4")
+_DIRECTIONAL = tuple(
+    name
+    for pose, direction in product(DIRECTIONAL_POSES, DIRECTIONS)
+    for name in (approach_name(pose, direction), pose)
+)
+"""Positions of a cycle of the distance test, and of the multi-directional one: before each pose where its approach
+starts."""
+
+
 def legs() -> list[tuple[str, str]]:
     """Return all positions that the tests of one arm drive to, each with the position before it."""
-    around, approaches = [CYCLE[-1], *CYCLE], approach_sequence()
-    found = [*zip(around, CYCLE, strict=False), ("P4", "P2"), ("P2", "P4")]
-    found += zip([approaches[-1], *approaches], approaches, strict=False)
-    return [(position, before) for before, position in dict.fromkeys(found)]
+    return list(dict.fromkeys(chain(_closed(CYCLE), _closed(_DISTANCE), _closed(_DIRECTIONAL))))
+
+
+def _closed(cycle: Sequence[str]) -> Iterator[tuple[str, str]]:
+    """Yield each position of a cycle with the position before it."""
+    return zip(cycle, [cycle[-1], *cycle], strict=False)
 
 
 def pose_visits(arm: ArmProgramme, cycles: int, speed: float = 0.0) -> Iterator[Visit]:
     """Yield the pose test: to P1, then cycles P5, P4, P3, P2, P1; ``speed`` as in ``IsoPlace``."""
-    yield _passing(arm, "P1", "P2")
-    for cycle in range(cycles):
-        for position in CYCLE:
-            place = arm.place("pose", position, speed=speed)
-            yield Visit({arm.name: arm.q[position, _before(position)]}, place, cycle)
+    yield Visit({arm.name: arm.q["P1", "P2"]}, None, 0)
+    yield from _visits(arm, CYCLE, cycles, lambda position, before: arm.place("pose", position, speed=speed))
 
 
 def distance_visits(arm: ArmProgramme, cycles: int) -> Iterator[Visit]:
-    """Yield the distance test: P2 and P4 alternately."""
-    yield _passing(arm, "P2", "P4")
-    yield _passing(arm, "P4", "P2")
-    for cycle in range(cycles):
-        for position, before in (("P2", "P4"), ("P4", "P2")):
-            yield Visit({arm.name: arm.q[position, before]}, arm.place("distance", position), cycle)
+    """Yield the distance test: P2 and P4 alternately, once without measuring."""
+    yield from _visits(arm, _DISTANCE, 1, lambda position, before: None)
+    yield from _visits(arm, _DISTANCE, cycles, lambda position, before: arm.place("distance", position))
 
 
 def directional_visits(arm: ArmProgramme, cycles: int) -> Iterator[Visit]:
     """Yield the multi-directional test: P1, P2 and P4, each approached along x, y and z."""
-    sequence = approach_sequence()
-    for cycle in range(cycles):
-        for before, position in zip([sequence[-1], *sequence], sequence, strict=False):
-            pose = position.split()[0]
-            place = None if pose != position else arm.place("multidirectional", pose, before.split()[1])
-            yield Visit({arm.name: arm.q[position, before]}, place, cycle)
+
+    def place(position: str, before: str) -> IsoPlace | None:
+        return arm.place("multidirectional", position, before.split()[1]) if position in POSES else None
+
+    yield from _visits(arm, _DIRECTIONAL, cycles, place)
 
 
 def drift_visits(arm: ArmProgramme, cycles: int) -> Iterator[Visit]:
     """Yield one group of the drift test: cycles P5 to P1, measured only at P1."""
-    for cycle in range(cycles):
-        yield from exercise_visits(arm, cycle, arm.place("drift", "P1"))
+    at_end = arm.place("drift", "P1")
+    yield from _visits(arm, CYCLE, cycles, lambda position, before: at_end if position == "P1" else None)
 
 
-def exercise_visits(arm: ArmProgramme, cycle: int = 0, at_end: IsoPlace | None = None) -> Iterator[Visit]:
-    """Yield one cycle, as between two groups of the drift test, measured only ``at_end``."""
-    for position in CYCLE:
-        place = at_end if position == CYCLE[-1] else None
-        yield Visit({arm.name: arm.q[position, _before(position)]}, place, cycle)
+def exercise_visits(arm: ArmProgramme) -> Iterator[Visit]:
+    """Yield one cycle without measuring, as between two groups of the drift test."""
+    yield from _visits(arm, CYCLE, 1, lambda position, before: None)
+
+
+def _visits(
+    arm: ArmProgramme, positions: Sequence[str], cycles: int, place: Callable[[str, str], IsoPlace | None]
+) -> Iterator[Visit]:
+    """Yield cycles of positions; ``place`` says what is measured at one, given with the position before it."""
+    for cycle, (position, before) in product(range(cycles), [*_closed(positions)]):
+        yield Visit({arm.name: arm.q[position, before]}, place(position, before), cycle)
 
 
 def paired_visits(
     first: ArmProgramme, second: ArmProgramme, pairs: Sequence[tuple[str, str]], cycles: int
 ) -> Iterator[Visit]:
     """Yield the cooperative test: both arms to each pair of poses together, always in the same order."""
-    for cycle in range(cycles):
-        for a, b in pairs:
-            place = IsoPlace("cooperative", first.commands, (first.name, second.name), (a, b))
-            targets = {first.name: first.q[a, _before(a)], second.name: second.q[b, _before(b)]}
-            yield Visit(targets, place, cycle)
+    before = dict(_closed(CYCLE))
+    for cycle, (a, b) in product(range(cycles), pairs):
+        place = IsoPlace("cooperative", first.commands, (first.name, second.name), (a, b))
+        targets = {first.name: first.q[a, before[a]], second.name: second.q[b, before[b]]}
+        yield Visit(targets, place, cycle)
 
 
 def pose_pairs(
@@ -686,15 +684,6 @@ def pose_pairs(
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
-
-
-def _passing(arm: ArmProgramme, position: str, before: str) -> Visit:
-    return Visit({arm.name: arm.q[position, before]}, None, 0)
-
-
-def _before(position: str) -> str:
-    """Return the position before this one in a cycle."""
-    return CYCLE[CYCLE.index(position) - 1]
 
 
 def _wanted_orientations(geometry: Geometry, cube: ChosenCube, names: Sequence[str]) -> dict[str, Array]:

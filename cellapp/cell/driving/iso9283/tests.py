@@ -35,13 +35,11 @@ from cellapp.cell.driving.iso9283.programme import (
     published_cell,
 )
 from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover, Vector
-from cellapp.cell.driving.reaction import StopReaction
-from cellapp.cell.driving.supervision import attended_cell, hold_while_paused
-from cellapp.cell.driving.sweeping import INTERVAL_S, PathDriver
-from cellapp.cell.driving.target_visit import Driver
+from cellapp.cell.driving.supervision import moving_cell
+from cellapp.cell.driving.sweeping import INTERVAL_S, drive_path
+from cellapp.cell.driving.target_visit import drive_to
 from cellapp.cell.planning.planned_stops import tell_time, visits_s
-from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
-from cellapp.cell.safety.gate import CellBodies
+from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.cell.targets.path import RUN_UP_RAD, PathPlan, PathPose, PathSpec, plan_path
 from cellapp.estimation.discovery.plan_forecast import tracker_covariance
 from cellapp.estimation.iso9283.characteristics import LARGE_CIRCLE, POSES, SMALL_CIRCLE, circle_positions
@@ -346,24 +344,19 @@ def drive_tests(
         On request; the arms have been braked.
     """
     control = control or JobControl()
-    profile, homes = task.profile, home_positions(task.profile)
-    with attended_cell(profile, control) as (cell, reaction):
-        opened(cell)
-        cell.require_tracker()
-        model = task.model or published_cell(profile, {})
-        session = _Session(task, findings, cell, reaction, control, homes)
-        session.use(cell_bodies(profile, model))
-        session.mover.confirm_first(homes, confirm)
-        began_s = cell.clock.now_s()
+    profile, model = task.profile, task.model or published_cell(task.profile, {})
+    with moving_cell(
+        profile, model, control, confirm=confirm, opened=opened, slow_visits=None, full_speed=task.speed
+    ) as mover:
+        session = _Session(task, findings, mover)
         try:
-            session.mover.go_home()
             findings.model = task.model or session.aligned()
-            session.use(cell_bodies(profile, findings.model))
+            mover.bodies = cell_bodies(profile, findings.model)
             session.prepare(findings.model)
             session.run()
-            session.mover.go_home()
+            mover.go_home()
         finally:
-            findings.seconds = cell.clock.now_s() - began_s
+            findings.seconds = mover.cell.clock.now_s() - mover.began_s
     control.tell("iso9283", session.total, session.total, "done")
 
 
@@ -376,21 +369,10 @@ class _Session:
 
     task: IsoTask
     findings: IsoFindings
-    cell: Cell
-    reaction: StopReaction
-    control: JobControl
-    homes: Mapping[str, Vector]
+    mover: Mover
     total: int = 1
     _done: int = 0
     _missed: int = 0
-
-    def use(self, bodies: CellBodies) -> None:
-        """Use these bodies from now on; move slowly in a cell of real arms."""
-        self.bodies = bodies
-        self.mover = Mover(self.task.profile, self.cell, bodies, self.reaction)
-        self.driver = Driver(self.mover, self.homes)
-        slow = self.task.profile.collection.slow_start.speed
-        self.mover.speed = min(slow, self.task.speed) if self.task.profile.moves_hardware else self.task.speed
 
     # -- before the tests ----------------------------------------------------------------------------------------------
 
@@ -400,11 +382,11 @@ class _Session:
         rough = published_cell(profile, {})
         for name in self.task.arms:
             geometry = rough.arms[name].geometry
-            q = alignment_configurations(self.bodies, self.homes, name, geometry, profile.seed)
+            q = alignment_configurations(self.mover.bodies, self.mover.homes, name, geometry, profile.seed)
             reached, points = [], []
             for done, target in enumerate(q):
-                self.control.tell("find base", done, len(q), f"arm {name}")
-                self._hold()
+                self.mover.control.tell("find base", done, len(q), f"arm {name}")
+                self.mover.hold()
                 try:
                     state = self._drive({name: target})[name]
                     points.append(self._at_rest(name, state.q))
@@ -420,9 +402,9 @@ class _Session:
         """Find the cube of each arm and compute its commands there."""
         profile, found = self.task.profile, self.findings
         for number, name in enumerate(self.task.arms):
-            self._hold()
-            self.control.tell("find cube", number, len(self.task.arms), f"arm {name}")
-            search = CubeSearch(self.bodies, self.homes, name, model.arms[name], profile.seed)
+            self.mover.hold()
+            self.mover.control.tell("find cube", number, len(self.task.arms), f"arm {name}")
+            search = CubeSearch(self.mover.bodies, self.mover.homes, name, model.arms[name], profile.seed)
             chosen = choose_cube(search)
             if isinstance(chosen, str):
                 found.refuse(name, self.task.tests, chosen)
@@ -436,7 +418,7 @@ class _Session:
                     found.programmes[name, kind] = programme
         for first, second in combinations(found.cubes, 2) if "cooperative" in self.task.tests else ():
             q = {name: found.cubes[name].q for name in (first, second)}
-            pairs = found.pairs[first, second] = pose_pairs(self.bodies, self.homes, q)
+            pairs = found.pairs[first, second] = pose_pairs(self.mover.bodies, self.mover.homes, q)
             if len(pairs) < len(POSES):
                 found.notes.append(
                     f"arms {first} and {second}: {len(pairs)} of {len(POSES)} pairs of poses can be measured"
@@ -450,7 +432,7 @@ class _Session:
             name,
             self.findings.cubes[name],
             kind,
-            self.homes,
+            self.mover.homes,
             rested_s=DWELL_S + 0.5 * self.task.profile.tracker.averaging,
             payload_kg=self.task.profile.arms[name].payload.mass,
             alignment=self.findings.alignments.get(name),
@@ -464,31 +446,33 @@ class _Session:
         programmes = self.findings.programmes.values()
         self._rehearse([one for own in programmes for one in (*pose_visits(own, 1), *directional_visits(own, 1))])
         self.findings.also_speeds = self.task.also_speeds
-        visits = self._visits()
-        series = {share: self._poses_at(share) for share in self.task.also_speeds}
-        self.total = max(len(visits) + sum(map(len, series.values())), 1)
-        tell_time(self.control, "iso9283", self.task.profile, self._seconds(visits, series), 0, self.total)
+        series = {0.0: self._visits()} | {share: self._poses_at(share) for share in self.task.also_speeds}
+        every = [visit for visits in series.values() for visit in visits]
+        self.findings.wanted |= {visit.place: self.task.cycles for visit in every if visit.place is not None}
+        self.total = max(len(every), 1)
+        tell_time(self.mover.control, "iso9283", self.task.profile, self._seconds(series), 0, self.total)
         if "drift" in tests:
             for name in self.findings.cubes:
                 self._drift(name)
-        self._visit_all(visits)
-        if "path" in tests:
-            self._paths(self.task.speed)
-        for share, own in series.items():
-            self.mover.speed = share
-            self._visit_all(own)
+        for share, visits in series.items():
+            self.mover.speed = share or self.task.speed
+            self._visit_all(visits)
             if "path" in tests:
-                self._paths(share, share)
+                self._paths(share)
         self.mover.speed = self.task.speed
 
-    def _seconds(self, visits: Sequence[Visit], series: Mapping[float, Sequence[Visit]]) -> float:
-        """Estimate the time of all tests [s]; paths at the commanded speed, motions at that of the profile."""
+    def _seconds(self, series: Mapping[float, Sequence[Visit]]) -> float:
+        """Estimate the time of all tests [s]; paths at the commanded speed, motions at that of the profile.
+
+        ``series`` are the visits at each speed as in ``PathRuns.series``.
+        """
         profile, tests, edges = self.task.profile, self.task.tests, [cube.edge for cube in self.findings.cubes.values()]
         total = len(edges) * self.task.drift_s if "drift" in tests else 0.0
         path_m = sum(edges) * (np.sqrt(2.0) + np.pi * (LARGE_CIRCLE + SMALL_CIRCLE)) * len(self.task.commands)
         path_s = wanted_cycles("path", self.task.cycles) * path_m / PATH_SPEED if "path" in tests else 0.0
-        for share, own in ((self.task.speed, visits), *series.items()):
-            total += visits_s(profile, [one.targets for one in own], DWELL_S) + path_s / share
+        for share, visits in series.items():
+            moving_s = visits_s(profile, [one.targets for one in visits], DWELL_S)
+            total += moving_s + path_s / (share or self.task.speed)
         return float(total)
 
     def _last_programme(self, name: str) -> ArmProgramme | None:
@@ -498,37 +482,30 @@ class _Session:
 
     def _visit_all(self, visits: Sequence[Visit]) -> None:
         for visit in visits:
-            self.control.tell("iso9283", self._done, self.total, "" if visit.place is None else str(visit.place))
+            self.mover.control.tell("iso9283", self._done, self.total, "" if visit.place is None else str(visit.place))
             self._visit(visit)
             self._done += 1
 
     def _poses_at(self, share: float) -> list[Visit]:
         """Return the visits of the pose test at another fraction of the speed."""
-        if "pose" not in self.task.tests:
-            return []
-        found = [
-            visit
-            for programme in self.findings.programmes.values()
-            for visit in pose_visits(programme, self.task.cycles, share)
-        ]
-        self.findings.wanted |= {visit.place: self.task.cycles for visit in found if visit.place is not None}
-        return found
+        programmes = self.findings.programmes.values() if "pose" in self.task.tests else ()
+        return [visit for programme in programmes for visit in pose_visits(programme, self.task.cycles, share)]
 
-    def _paths(self, speed: float, series: float = 0.0) -> None:
+    def _paths(self, series: float) -> None:
         """Run the path tests of one arm after the other, the others at home; ``series`` is as in ``PathRuns``."""
         names = list(self.findings.cubes)
         for done, name in enumerate(names):
-            self.control.tell("paths", done, len(names), f"arm {name}")
+            self.mover.control.tell("paths", done, len(names), f"arm {name}")
             self.mover.go_home()
-            self._paths_of(name, speed, series)
-        self.control.tell("paths", len(names), len(names), "done")
+            self._paths_of(name, series)
+        self.mover.control.tell("paths", len(names), len(names), "done")
 
-    def _paths_of(self, name: str, speed: float, series: float) -> None:
+    def _paths_of(self, name: str, series: float) -> None:
         """Drive all paths of an arm with each kind of commands; record why one cannot be driven."""
-        model, arm = self.findings.model, self.cell.arms[name]
+        model, arm = self.findings.model, self.mover.cell.arms[name]
         assert model is not None
-        specs = path_specs(name, self.findings.cubes[name], speed)
-        if stream_of(self.cell.tracker) is None:
+        specs = path_specs(name, self.findings.cubes[name], series or self.task.speed)
+        if stream_of(self.mover.cell.tracker) is None:
             specs = "this tracker's driver cannot measure a moving SMR"
         elif not isinstance(arm, PathFollower):
             specs = f"the driver of arm {name} cannot follow a stream of joint positions"
@@ -542,16 +519,10 @@ class _Session:
                 if isinstance(chosen, str):
                     self.findings.refuse(name, ["path"], f"{spec.name}, {kind} commands: {chosen}")
                 else:
-                    self._drive_path(spec, kind, *chosen, speed, series)
+                    self._drive_path(spec, kind, *chosen, series)
 
     def _drive_path(
-        self,
-        spec: PathSpec,
-        kind: IsoCommands,
-        trajectory: Trajectory,
-        path: CartesianPath,
-        speed: float,
-        series: float,
+        self, spec: PathSpec, kind: IsoCommands, trajectory: Trajectory, path: CartesianPath, series: float
     ) -> None:
         """Drive one path over all cycles."""
         s, commanded, tangents = places_along(path)
@@ -577,15 +548,15 @@ class _Session:
         self.findings.paths.append(runs)
 
         def begin() -> None:
-            self._hold()
+            self.mover.hold()
             for q in (_run_up(trajectory.q), trajectory.q[0]):
                 self.mover.go_home_unless_clear(spec.arm, q)
                 self.mover.move({spec.arm: q})
 
-        driver = PathDriver(self.cell, self.mover, self.reaction, self.control)
+        interval_s = INTERVAL_S / (series or self.task.speed)  # as many points at each speed
         try:
-            for _ in range(runs.wanted):  # points in an interval that makes them as many at each speed
-                runs.tracks.append(driver.drive(spec.arm, trajectory, begin, start_M[0], INTERVAL_S / speed))
+            for _ in range(runs.wanted):
+                runs.tracks.append(drive_path(self.mover, spec.arm, trajectory, begin, start_M[0], interval_s))
         except (MotionRefused, TrackerError) as error:
             runs.problems.append(str(error))
 
@@ -597,13 +568,8 @@ class _Session:
             for test, visits in makers.items():
                 if test in self.task.tests:
                     found += visits(programme, self.task.cycles)
-        if "cooperative" in self.task.tests:
-            found += self._cooperative()
-        self.findings.wanted |= {visit.place: self.task.cycles for visit in found if visit.place is not None}
-        return found
-
-    def _cooperative(self) -> Sequence[Visit]:
-        found: list[Visit] = []
+        if "cooperative" not in self.task.tests:
+            return found
         for (first, second), pairs in self.findings.pairs.items():
             for kind in self.task.commands:
                 both = [self.findings.programmes.get((name, kind)) for name in (first, second)]
@@ -614,7 +580,7 @@ class _Session:
     def _rehearse(self, visits: Sequence[Visit]) -> None:
         """Drive real arms slowly and without measuring, for a person to watch their first motions."""
         if self.task.profile.moves_hardware:
-            self.mover.speed = min(self.task.profile.collection.slow_start.speed, self.task.speed)
+            self.mover.slow_start()
             for visit in visits:
                 self._visit(replace(visit, place=None))
         self.mover.speed = self.task.speed
@@ -626,17 +592,17 @@ class _Session:
             return
         cycles, limit_s = wanted_cycles("drift", self.task.cycles), self.task.drift_s
         self.findings.wanted[programme.place("drift", "P1")] = cycles
-        began_s, group = self.cell.clock.now_s(), 0
+        began_s, group = self.mover.cell.clock.now_s(), 0
         while True:
             for visit in drift_visits(programme, cycles):
                 self._visit(visit, group)
             group += 1
-            passed_s = self.cell.clock.now_s() - began_s
-            self.control.tell("drift", int(min(passed_s, limit_s) / 60.0), int(limit_s / 60.0), f"arm {name}")
+            passed_s = self.mover.cell.clock.now_s() - began_s
+            self.mover.control.tell("drift", int(min(passed_s, limit_s) / 60.0), int(limit_s / 60.0), f"arm {name}")
             if passed_s >= limit_s and group > 1:
                 return
             until_s = min(began_s + group * float(np.clip(limit_s / _GROUPS, *_INTERVAL_S)), began_s + limit_s)
-            while self.cell.clock.now_s() < until_s:
+            while self.mover.cell.clock.now_s() < until_s:
                 for visit in exercise_visits(programme):
                     self._visit(visit)
 
@@ -644,22 +610,17 @@ class _Session:
 
     def _visit(self, visit: Visit, group: int = 0) -> None:
         """Drive to a visit's targets; measure if it has a place; record why a measurement is missing."""
-        self._hold()
-        names = list(visit.targets)
+        self.mover.hold()
         try:
             states = self._drive(visit.targets)
             if visit.place is None:
                 return
-            points = {name: self._at_rest(name, states[name].q) for name in names}
+            points = {name: self._at_rest(name, states[name].q) for name in visit.targets}
         except (MotionRefused, TrackerError) as error:
             _raise_if_not_ready(error)
             self._miss(visit, str(error))
             return
-        self._keep(visit, points, group)
-
-    def _keep(self, visit: Visit, points: Mapping[str, Point], group: int) -> None:
         self._missed = 0
-        assert visit.place is not None
         first, share = points[visit.place.arms[0]], self.task.profile.tolerances.covariance_factor
         self.findings.measured.visits.append(
             MeasuredVisit(
@@ -675,10 +636,10 @@ class _Session:
         )
 
     def _drive(self, targets: Mapping[str, Vector]) -> Mapping[str, ArmState]:
-        return self.driver.to(list(targets), lambda name, start: targets[name], {})
+        return drive_to(self.mover, list(targets), lambda name, start: targets[name], {})
 
     def _at_rest(self, name: str, q: Vector) -> Point:
-        self.mover.rest(name, DWELL_S, self.control)
+        self.mover.rest(name, DWELL_S)
         return self.mover.measure(name, q)
 
     def _miss(self, visit: Visit, reason: str) -> None:
@@ -690,9 +651,6 @@ class _Session:
                 f"iso9283: {self._missed} visits in a row without a measurement, the last one: {reason}; look for a"
                 " covered SMR or a closed way, then repeat the test"
             )
-
-    def _hold(self) -> None:
-        hold_while_paused(self.cell, self.control, self.reaction)
 
 
 def _raise_if_not_ready(error: Exception) -> None:
