@@ -76,7 +76,7 @@ def topic_text(topic: str) -> str:
     kept = chapter_text(topic) if topic in CHAPTERS else effect_sections().get(topic)
     if kept is None:
         meant = did_you_mean(topic, topics(), "did you mean '{}'? Topics", otherwise="topics")
-        where = ", ".join(one.section.address for one in search(topic)[:3])
+        where = ", ".join(one.address for one in search(topic)[:3])
         where = f"; sections with this word: {where}" if where else ""
         said = f"docs: '{topic}' is not a topic; {meant} are {', '.join(topics())}{where}"
         raise InputError(removed_command(f"docs {topic}") or said)
@@ -133,13 +133,10 @@ class ChapterSection:
         """Its Markdown with each picture replaced by its words."""
         return _PICTURE.sub(r"*Picture: \1*", _CAPTION.sub(r"\1", self.text))
 
-
-@dataclass(frozen=True)
-class FoundText:
-    """A section that contains all searched words, and its first line with one of them."""
-
-    section: ChapterSection
-    line: str
+    def line_with(self, words: str) -> str:
+        """Return the first line below its heading with one of the words; empty if only the heading has them."""
+        lines = (line.strip() for line in self.text.splitlines()[1:] if line.strip())
+        return next((line for line in lines if any(word in line.lower() for word in words.lower().split())), "")
 
 
 @cache
@@ -154,19 +151,16 @@ def sections(chapter: str) -> tuple[ChapterSection, ...]:
     return tuple(_split(chapter, topic_text(chapter)))
 
 
-def search(words: str) -> tuple[FoundText, ...]:
+def search(words: str) -> list[ChapterSection]:
     """Find the sections with all of some words, ignoring case; first those with all words in the heading."""
     wanted = words.lower().split()
-    if not wanted:
-        return ()
     hits = [
         one
         for chapter in CHAPTERS
         for one in sections(chapter)
-        if all(word in f"{one.heading}\n{one.text}".lower() for word in wanted)
+        if wanted and all(word in f"{one.heading}\n{one.text}".lower() for word in wanted)
     ]
-    hits.sort(key=lambda one: not all(word in one.heading.lower() for word in wanted))  # stable sort
-    return tuple(FoundText(one, _line_with(one.text, wanted)) for one in hits)
+    return sorted(hits, key=lambda one: not all(word in one.heading.lower() for word in wanted))
 
 
 def _split(chapter: str, text: str) -> Iterator[ChapterSection]:
@@ -186,8 +180,3 @@ def _split(chapter: str, text: str) -> Iterator[ChapterSection]:
 def _section(chapter: str, started: tuple[int, str], lines: list[str]) -> ChapterSection:
     level, heading = started
     return ChapterSection(chapter, anchor_of(heading), heading, level, "\n".join(lines) + "\n")
-
-
-def _line_with(text: str, words: list[str]) -> str:
-    lines = [line for line in text.splitlines()[1:] if line.strip()]
-    return next((line.strip() for line in lines if any(word in line.lower() for word in words)), "")

@@ -33,7 +33,7 @@ def run(request: DocsRequest, work: Work) -> DocsResult | SchemaResult:
 
         return SchemaResult(text=schemas_text(request.topic))
     if request.words is not None:
-        lines = [f"{hit.section.address}\n  {hit.line}" for hit in search(request.words)]
+        lines = [f"{one.address}\n  {one.line_with(request.words)}" for one in search(request.words)]
         return DocsResult(topic="", text="\n".join(lines) or f"no section has all of these words: {request.words}")
     if request.topic is None:
         return DocsResult(topic="", text=_topics())
