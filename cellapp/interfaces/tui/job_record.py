@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from itertools import islice
@@ -49,23 +49,6 @@ _WORST_FIRST: tuple[HaltState, ...] = ("not seen at rest", "asked", "braking", "
 _TREAT_AS_MOVING = "treat it as moving: emergency stop, then look"
 
 
-@dataclass(frozen=True)
-class JobPart:
-    """A part of the live strip, and how old its data are."""
-
-    text: str
-    look: Look
-
-
-@dataclass(frozen=True)
-class Banner:
-    """Progress of the halt in words that begin with the state; its causes; whether an arm counts as moving."""
-
-    words: str
-    causes: tuple[str, ...]
-    alarm: bool
-
-
 def look_of(age_s: float | None) -> Look:
     """Return how data of an age are displayed; None means no data."""
     if age_s is None or age_s > LOST_S:
@@ -88,21 +71,22 @@ def halt_of(arm: ArmLive) -> HaltState | None:
     return "not seen at rest" if unknown else arm.halt.state
 
 
-def strip_of(live: CellLive) -> list[JobPart]:
-    """Return each arm, the tracker and the job with the age of their data."""
-    parts = []
+def strip_of(live: CellLive) -> list[tuple[str, Look]]:
+    """Return each arm, the tracker and the job in words with the age of their data, and how these are displayed."""
+    parts: list[tuple[str, Look]] = []
     for name, arm in live.arms.items():
         halt, look = halt_of(arm), look_of(arm.age_s)
         doing = HALT_WORDS[halt] if halt else "no state" if look == "lost" else "moves" if arm.moving else "rests"
-        parts.append(JobPart(f"{name} {doing} {age_words(arm.age_s)}", "lost" if halt == "not seen at rest" else look))
-    parts.append(JobPart(f"tracker {age_words(live.tracker_age_s)}", look_of(live.tracker_age_s)))
-    return [*parts, JobPart(f"job {age_words(live.job_age_s)}", look_of(live.job_age_s))]
+        parts.append((f"{name} {doing} {age_words(arm.age_s)}", "lost" if halt == "not seen at rest" else look))
+    ages = (("tracker", live.tracker_age_s), ("job", live.job_age_s))
+    return [*parts, *((f"{name} {age_words(age_s)}", look_of(age_s)) for name, age_s in ages)]
 
 
-def banner_of(live: CellLive | None, unseen: Mapping[str, str]) -> Banner | None:
+def banner_of(live: CellLive | None, unseen: Mapping[str, str]) -> tuple[str, Sequence[str], bool] | None:
     """Return the banner of a halt or of missing data; None if there is neither.
 
-    ``unseen`` are the arms that the open run counts as moving, arm -> why.
+    The banner is words that begin with the state, its causes, and whether an arm counts as moving. ``unseen`` are the
+    arms that the open run counts as moving, arm -> why.
     """
     halts = {} if live is None else {name: halt_of(arm) for name, arm in live.arms.items()}
     state = next((state for state in _WORST_FIRST if state in halts.values()), None)
@@ -111,13 +95,13 @@ def banner_of(live: CellLive | None, unseen: Mapping[str, str]) -> Banner | None
     causes = () if live is None else live.causes
     if names:
         arms = f"arm{'s' if len(names) > 1 else ''} {', '.join(names)}"
-        return Banner(f"NOT SEEN AT REST: {arms}; {_TREAT_AS_MOVING}", causes or tuple(unseen.values()), True)
+        return f"NOT SEEN AT REST: {arms}; {_TREAT_AS_MOVING}", causes or [*unseen.values()], True
     if state is not None:
         words = {"asked": "STOP ASKED", "braking": "ARMS BRAKE", "at rest": "AT REST: all arms were seen at rest"}
-        return Banner(words[state], causes, False)
+        return words[state], causes, False
     lost = [] if live is None else without_data(live)
     if lost:
-        return Banner(f"NO DATA from {', '.join(lost)}: what is shown of it is old", (), True)
+        return f"NO DATA from {', '.join(lost)}: what is shown of it is old", (), True
     return None
 
 
@@ -217,8 +201,6 @@ class JobRecord:
     ----------
     name : str
         What was started, in a word or two; empty before the first job.
-    watched : bool
-        Whether another process runs it.
     part : str
         Name in its events for what people call ``name``: a push that measures is a verification.
     state : JobState or None
@@ -255,7 +237,6 @@ class JobRecord:
     name: str = ""
     state: JobState | None = None
     reason: str = ""
-    watched: bool = False
     part: str = ""
     since: datetime = field(default_factory=datetime.now)
     heard_s: dict[str, float] = field(default_factory=dict)
@@ -281,10 +262,9 @@ class JobRecord:
         count = min(self.log_written - written, len(self.log))
         return list(islice(reversed(self.log), count))[::-1]
 
-    def begin(self, name: str, *, watched: bool = False, part: str = "") -> None:
+    def begin(self, name: str, part: str = "") -> None:
         """Reset for a new job, but keep the log. Events of ``part`` are stored under the job's own name."""
-        self.watched, self.part = watched, part
-        self.name, self.state, self.reason, self.tracker = name, "running", "", TrackerRecord()
+        self.name, self.part, self.state, self.reason, self.tracker = name, part, "running", "", TrackerRecord()
         self.since = datetime.now()
         for kept in (self.progress, self.heard_s, self.arms, self.stops, self.references, self.suspicions):
             kept.clear()

@@ -94,6 +94,11 @@ class JobRunner:
     ----------
     post : callable
         Passes messages from any thread to the screens.
+
+    Attributes
+    ----------
+    code : int
+        Exit code of the last job.
     """
 
     def __init__(self, post: Callable[[Message], object]) -> None:
@@ -102,6 +107,7 @@ class JobRunner:
         self._thread: threading.Thread | None = None
         self.control = JobControl(holds=True)
         self.job: Job | None = None
+        self.code = 0
 
     @property
     def running(self) -> bool:

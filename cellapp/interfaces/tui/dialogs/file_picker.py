@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from glob import escape, glob
 from pathlib import Path
 from typing import ClassVar
 
@@ -14,7 +15,6 @@ from textual.widgets import Input
 
 from cellapp.interfaces.tui.dialogs.question import AnswerQuestion, ChosenAnswer
 
-_MOST_SHOWN = 200
 _MOST_NAMED = 5
 
 
@@ -39,21 +39,9 @@ class PathSuggester(Suggester):
 
 def completions(text: str, wanted: Callable[[Path], bool]) -> list[str]:
     """Return the paths that begin with ``text``, sorted, folders with a slash; hidden ones only if asked for."""
-    head, tail = os.path.split(os.path.expanduser(text))
-    try:
-        entries = sorted(Path(head or ".").iterdir())
-    except OSError:
-        return []
-    found = []
-    for entry in entries[: 10 * _MOST_SHOWN]:
-        if not entry.name.startswith(tail) or (entry.name.startswith(".") and not tail.startswith(".")):
-            continue
-        path = os.path.join(head, entry.name)
-        if entry.is_dir():
-            found.append(path + os.sep)
-        elif wanted(entry):
-            found.append(path)
-    return found[:_MOST_SHOWN]
+    found = sorted(glob(f"{escape(os.path.expanduser(text))}*"))
+    paths = (path + os.sep if os.path.isdir(path) else path for path in found)
+    return [path for path in paths if path.endswith(os.sep) or wanted(Path(path))]
 
 
 class PathField(Input):

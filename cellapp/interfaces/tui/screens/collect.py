@@ -7,17 +7,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable
-from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import ClassVar, Literal, get_args
 
-from textual import on
 from textual.app import ComposeResult
 from textual.binding import BindingType
 from textual.containers import Container, Horizontal
 from textual.content import Content
-from textual.widgets import Static
 
 from cellapp.commands.collect.charts import drift_chart, live_drift_chart, residual_chart, standard_error_chart
 from cellapp.commands.collect.request import VERB as COLLECT
@@ -57,13 +54,8 @@ _DOING: dict[JobState, tuple[Look, str]] = {
 }
 
 
-@dataclass(frozen=True)
-class Headline:
-    """A word, a sentence with what can be done, and their style."""
-
-    word: str
-    sentence: str
-    look: Look
+Headline = tuple[str, str, Look]
+"""A word, a sentence with what can be done, and their style."""
 
 
 def headline(run: RunState, record: JobRecord, request: Request) -> Headline:
@@ -71,13 +63,13 @@ def headline(run: RunState, record: JobRecord, request: Request) -> Headline:
     if record.state is None:
         return _of_run(run)
     if run.job is not None and not run.job.moves:
-        return Headline("RUNNING", f"{record.name}: nothing moves. {_STOP} or {_ENDS}", "running")
+        return ("RUNNING", f"{record.name}: nothing moves. {_STOP} or {_ENDS}", "running")
     state = record.state
     if state in ("running", "pausing") and record.causes:  # the job's thread has not noticed yet, or hangs
-        return Headline("STOPPED", f"{'; '.join(record.causes).rstrip('.')}. {_DOING['stopped'][1]}", "halted")
+        return ("STOPPED", f"{'; '.join(record.causes).rstrip('.')}. {_DOING['stopped'][1]}", "halted")
     if record.lost and state != "stopped":  # a stopped job gives the reason and what to do; the strip shows the ages
         text = f"from {', '.join(record.lost)}: what is shown of it is old. {_STOP} brakes all arms."
-        return Headline("NO DATA", text, "halted")
+        return ("NO DATA", text, "halted")
     if state == "running" and request != "none":
         state = {"pause": "pausing", "stop": "stopped", "abort": "aborted"}[request]  # type: ignore[assignment]
     look, possible = _DOING[state]
@@ -85,21 +77,21 @@ def headline(run: RunState, record: JobRecord, request: Request) -> Headline:
         possible = f"Look for a moved tracker, nest or SMR. {SHOWN['drift']} accepts the drift and resumes, as"
         possible += f" {SHOWN['resume']} does; {_ENDS}"
     waits = record.reason and state == record.state != "running"
-    return Headline(state.upper(), f"{since_words(record)}. {possible}" if waits else possible, look)
+    return (state.upper(), f"{since_words(record)}. {possible}" if waits else possible, look)
 
 
 def _of_run(state: RunState) -> Headline:
     cell, todo, measured = state.workspace, state.remaining, state.measured
     if state.no_run:
-        return Headline("NO RUN", state.no_run, "idle")
+        return ("NO RUN", state.no_run, "idle")
     if state.reading:
-        return Headline("READING", state.reading, "idle")
+        return ("READING", state.reading, "idle")
     if cell.in_use:
-        return Headline("IN USE", f"by {cell.in_use}. Shown is what was stored when it was opened.", "waiting")
+        return ("IN USE", f"by {cell.in_use}. Shown is what was stored when it was opened.", "waiting")
     if not todo and not measured:
-        return Headline("NO PLAN", "This run has no stops to measure.", "idle")
+        return ("NO PLAN", "This run has no stops to measure.", "idle")
     if not todo:
-        return Headline(f"COMPLETE, {counted(measured, 'stop')}", "Nothing is left to measure.", "done")
+        return (f"COMPLETE, {counted(measured, 'stop')}", "Nothing is left to measure.", "done")
     left = counted(todo, "stop that is left", "stops that are left")
     sentence = f"{SHOWN['go']} measures {left}. Nothing moves before it is confirmed."
     if cell.read_only:
@@ -107,9 +99,9 @@ def _of_run(state: RunState) -> Headline:
     elif cell.drifts:
         sentence = f"The references moved beyond their limit: {SHOWN['drift']} accepts that and resumes. {sentence}"
     if not measured or cell.outcome == "complete":  # others were planned since
-        return Headline(f"READY, {counted(todo, 'stop')}", sentence, "idle")
+        return (f"READY, {counted(todo, 'stop')}", sentence, "idle")
     word = "ACCURATE ENOUGH" if cell.outcome == "accurate enough" else "INTERRUPTED"
-    return Headline(f"{word}, {measured} of {counted(measured + todo, 'stop')}", sentence, "idle")
+    return (f"{word}, {measured} of {counted(measured + todo, 'stop')}", sentence, "idle")
 
 
 View = Literal["log", "plots", "stops", "collected"]
@@ -141,14 +133,13 @@ class CollectScreen(DayScreen):
         self._plotted_s = 0.0
         self._opened: Path | None = None
         self._job: Job | None = None
-        self._suspicions = 0
 
     def body(self) -> ComposeResult:
         self.add_class(self._first_view)  # before the widgets are there, whose styles depend on it
         yield Line(id="state")
         yield Horizontal(id="arms")
         yield TrackerPanel()
-        yield Static("", id="suspicions", markup=False)
+        yield Line(id="suspicions")
         with Container(id="plots"):
             for name in _PLOTS:
                 yield ChartPlot(id=name)
@@ -164,6 +155,8 @@ class CollectScreen(DayScreen):
             plot.tooltip = "Errors of the newest points, standard errors, drift of the references."
         self.query_one(f"#{_PLOTS[0]}").add_class("chosen")
         self.query_one(LogPane).view.focus()
+        stops = self.query_one(CollectedStops)
+        self.watch(stops, "chosen", lambda: self.show_job(self.cell_app.record), init=False)  # marked in the plot
 
     # -- begin, resume, accept -----------------------------------------------------------------------------------------
 
@@ -197,7 +190,7 @@ class CollectScreen(DayScreen):
         stops = self.query_one(CollectedStops).again
         listed = ", ".join(str(stop + 1) for stop in stops)
         what = f"{counted(len(stops), 'stop')} again, all arms: {listed}. The readings before are kept and not used"
-        if self.state.stored == "calibrated":
+        if self.workspace.stored("calibrate") is not None:
             what += "; what was calibrated with them is out of date then"
         self._collect("Measure again?", what, again=listed.replace(" ", ""))
 
@@ -296,8 +289,8 @@ class CollectScreen(DayScreen):
         self._opened = job.folder or self._opened  # its stored log is received anyway
 
     def _draw_state(self, record: JobRecord) -> None:
-        now = headline(self.state, record, self.cell_app.jobs.control.request)
-        self.query_one("#state", Line).say(Content.assemble((now.word, "bold"), f"  {now.sentence}"), now.look)
+        word, sentence, look = headline(self.state, record, self.cell_app.jobs.control.request)
+        self.query_one("#state", Line).say(Content.assemble((word, "bold"), f"  {sentence}"), look)
 
     def _draw_arms(self, record: JobRecord) -> None:
         panels = {panel.arm_name: panel for panel in self.query(ArmPanel)}
@@ -317,17 +310,14 @@ class CollectScreen(DayScreen):
 
     def _draw_suspicions(self, record: JobRecord) -> None:
         """Draw the newest suspicion in words, and how many there were before."""
-        if len(record.suspicions) == self._suspicions:
-            return
-        self._suspicions = len(record.suspicions)
-        box = self.query_one("#suspicions", Static)
-        box.set_class(bool(record.suspicions), "any")
+        line, words = self.query_one("#suspicions", Line), ""
         if record.suspicions:
             newest = record.suspicions[-1]
             before = len(record.suspicions) - 1
             more = f" ({before} before: {SHOWN['filter']} in the log shows them)" if before else ""
             arm = "" if newest.arm is None else f", arm {newest.arm}"
-            box.update(f"! {newest.kind.upper()}{arm}: {newest.text}{more}")
+            words = f"! {newest.kind.upper()}{arm}: {newest.text}{more}"
+        line.say(words, "any" if words else "")
 
     def _draw_plots(self, record: JobRecord) -> None:
         """Draw the plots of new data; while a job runs once a second at most, because drawing delays keys."""
@@ -342,11 +332,6 @@ class CollectScreen(DayScreen):
         for plot, nothing in empty.items():
             plot.set_class(nothing, "empty")
         self.set_class(all(empty.values()), "unplotted")
-
-    @on(CollectedStops.Chosen)
-    def mark_chosen(self) -> None:
-        """Mark the stop under the cursor in the plot of the residuals."""
-        self.show_job(self.cell_app.record)
 
     def _chart(self, name: str, record: JobRecord) -> Chart:
         """Return a chart of the job, or of the stored data if the job has no stop or no reference."""

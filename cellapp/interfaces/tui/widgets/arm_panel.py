@@ -158,10 +158,11 @@ class LiveStrip(Vertical):
 
     def show(self, live: CellLive | None, unseen: Mapping[str, str]) -> None:
         """Draw the state, and the arms that the run counts as moving, arm -> why."""
-        banner, parts = banner_of(live, unseen), () if live is None else tuple(strip_of(live))
-        self.query_one(".banner", Line).say(
-            "" if banner is None else "\n".join([banner.words, *banner.causes[:2]]),
-            "banner" if banner is None else f"banner shown{' alarm' if banner.alarm else ''}",
-        )
-        ages = Content("   ").join(Content.styled(part.text, _STRIP_STYLES[part.look]) for part in parts)
+        line, parts = self.query_one(".banner", Line), [] if live is None else strip_of(live)
+        if (banner := banner_of(live, unseen)) is None:
+            line.say("", "banner")
+        else:
+            words, causes, alarm = banner
+            line.say("\n".join([words, *causes[:2]]), f"banner shown{' alarm' if alarm else ''}")
+        ages = Content("   ").join(Content.styled(text, _STRIP_STYLES[look]) for text, look in parts)
         self.query_one(".ages", Line).say(ages, "ages shown" if parts else "ages")

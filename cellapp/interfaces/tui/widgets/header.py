@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from rich.cells import cell_len
 from textual.app import ComposeResult
 from textual.containers import Horizontal
-from textual.message import Message
 
 from cellapp.interfaces.tui.job_record import JobRecord
 from cellapp.interfaces.tui.run_state import SIGNS, Mark, RunState
@@ -64,13 +63,6 @@ class StepLine(Horizontal):
 class StepTab(Line):
     """One step; a click shows its screen."""
 
-    class Chosen(Message):
-        """The screen of a step is requested."""
-
-        def __init__(self, step: Step) -> None:
-            super().__init__()
-            self.step = step
-
     def __init__(self, step: Step) -> None:
         super().__init__(classes="step")
         self.step: Step = step
@@ -83,6 +75,6 @@ class StepTab(Line):
         self.say(text, " ".join([*classes, *(["present"] if present else [])]))
         self.tooltip = f"{self._entry.title}: {self._entry.purpose}; {mark.words}. Key {self._entry.key}."
 
-    def on_click(self) -> None:
+    async def on_click(self) -> None:
         """Show the screen."""
-        self.post_message(self.Chosen(self.step))
+        await self.run_action(f"app.show('{self.step}')")
