@@ -216,8 +216,8 @@ class JobRecord:
     arms : dict
         Arm -> its newest known state.
     tracker : TrackerRecord
-    stops : dict
-        Arm -> reports of its stops, oldest first.
+    stops : list
+        Reports of the stops of all arms, oldest first.
     references : list
         Reports of reference measurements, oldest first.
     suspicions : list
@@ -243,7 +243,7 @@ class JobRecord:
     progress: dict[str, Progress] = field(default_factory=dict)
     arms: dict[str, ArmRecord] = field(default_factory=dict)
     tracker: TrackerRecord = field(default_factory=TrackerRecord)
-    stops: dict[str, list[StopReport]] = field(default_factory=dict)
+    stops: list[StopReport] = field(default_factory=list)
     references: list[ReferenceReport] = field(default_factory=list)
     suspicions: list[Suspicion] = field(default_factory=list)
     log: deque[LogRow] = field(default_factory=lambda: deque(maxlen=MOST_LINES))
@@ -310,19 +310,28 @@ class JobRecord:
             self.progress[event.job] = event
         self.changes += 1
         if event.detail is not None:
-            self._take(event.detail)
-            self._log_detail(event.job, event.detail)
+            self._take(event.job, event.detail)
 
     # -- details -------------------------------------------------------------------------------------------------------
 
-    def _take(self, detail: Detail) -> None:
+    def _take(self, job: str, detail: Detail) -> None:
+        """Process a detail; write a line into the log where the job itself writes none."""
         match detail:
-            case StateChange():
+            case LogReport(level, text):
+                self.note(text, level_of(level))
+            case Notice(text):
+                self.note(f"{job}: {text}")
+            case StateChange(state, reason):
                 self._change_state(detail)
-            case Suspicion():
+                self.note(f"{job}: {state.upper()}: {reason}", "info" if state == "running" else "warning")
+            case Suspicion(kind, text):
                 self.suspicions.append(detail)
-            case ReferenceReport():
+                self.note(f"{job}: SUSPICION: {kind}: {text}", "warning")
+            case ReferenceReport(drift_mm, limit_mm):
                 self.references.append(detail)
+                drifts = ", ".join(f"{name} {drift:.3f}" for name, drift in drift_mm.items())
+                words = f"{job}: reference: {drifts} mm from the first measurement, limit {limit_mm:.3f} mm"
+                self.note(words, "info" if within_limit(detail) else "warning")
             case SweepLive():
                 live = None if detail.state == "done" else detail
                 self.tracker = replace(self.tracker, arm=detail.arm, sweep=live)
@@ -352,7 +361,7 @@ class JobRecord:
         name, arm = detail.arm, self._arm(detail.arm)
         match detail:
             case StopReport():
-                self.stops.setdefault(name, []).append(detail)
+                self.stops.append(detail)
                 self.arms[name] = replace(arm, report=detail)
             case MeasurementBegun(stop=stop):
                 self.arms[name] = replace(arm, activity="measuring", stop=stop)
@@ -386,22 +395,6 @@ class JobRecord:
             if arm.activity in ("moving", "settling", "measuring", "stopped", "asked", "braking", "at rest"):
                 self.arms[name] = replace(arm, activity=activity, expected_s=None)
         self.tracker = replace(self.tracker, measuring=False, sweep=None)
-
-    def _log_detail(self, job: str, detail: Detail) -> None:
-        """Log a detail for which the job itself writes no line."""
-        match detail:
-            case LogReport(level, text):
-                self.note(text, level_of(level))
-            case StateChange(state, reason):
-                self.note(f"{job}: {state.upper()}: {reason}", "info" if state == "running" else "warning")
-            case Suspicion(kind, text):
-                self.note(f"{job}: SUSPICION: {kind}: {text}", "warning")
-            case Notice(text):
-                self.note(f"{job}: {text}")
-            case ReferenceReport(drift_mm, limit_mm):
-                drifts = ", ".join(f"{name} {drift:.3f}" for name, drift in drift_mm.items())
-                words = f"{job}: reference: {drifts} mm from the first measurement, limit {limit_mm:.3f} mm"
-                self.note(words, "info" if within_limit(detail) else "warning")
 
 
 def within_limit(report: ReferenceReport) -> bool:

@@ -59,15 +59,6 @@ class PathField(Input):
 
     def __init__(self, text: str, wanted: Callable[[Path], bool], *, id: str = "path", hint: str = "") -> None:
         super().__init__(text, placeholder=hint, suggester=PathSuggester(wanted), id=id, compact=True)
-        self._wanted = wanted
-
-    def complete(self) -> None:
-        """Complete to the longest common prefix of all candidates."""
-        found = completions(self.value, self._wanted)
-        if found:
-            self.value = os.path.commonprefix(found)  # noqa: RUF071 - letter by letter is meant
-            self.cursor_position = len(self.value)
-        self.focus()
 
 
 class FilePicker(AnswerQuestion[Path]):
@@ -101,7 +92,11 @@ class FilePicker(AnswerQuestion[Path]):
 
     def action_complete(self) -> None:
         """Complete to the longest common prefix of all candidates; a single candidate completely."""
-        self.query_one(PathField).complete()
+        field = self.query_one(PathField)
+        if found := completions(field.value, self._wanted):
+            field.value = os.path.commonprefix(found)  # noqa: RUF071 - letter by letter is meant
+            field.cursor_position = len(field.value)
+        field.focus()
 
     def entered(self) -> None:
         """Open the file."""

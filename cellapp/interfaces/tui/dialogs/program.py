@@ -12,6 +12,7 @@ from typing import ClassVar
 from textual.app import App, ComposeResult, SystemCommand
 from textual.binding import Binding, BindingType
 from textual.command import CommandPalette
+from textual.containers import Container
 from textual.widgets import Input, Static
 
 from cellapp.commands.doctor.request import VERB as DOCTOR
@@ -22,7 +23,7 @@ from cellapp.interfaces.tui.host import Host
 from cellapp.interfaces.tui.keys import step_of
 from cellapp.interfaces.tui.screens import SCREENS
 from cellapp.interfaces.tui.screens.base import DayScreen
-from cellapp.interfaces.tui.widgets.controls import StopCorner
+from cellapp.interfaces.tui.widgets.controls import StopButton
 
 
 class Palette(CommandPalette):
@@ -31,7 +32,7 @@ class Palette(CommandPalette):
     BINDINGS: ClassVar[list[BindingType]] = [Binding("f10", "escape", show=False)]
 
     def compose(self) -> ComposeResult:
-        yield StopCorner()
+        yield Container(StopButton(), classes="corner")
         yield from super().compose()
 
 

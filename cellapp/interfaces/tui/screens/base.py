@@ -113,10 +113,9 @@ class DayScreen(Screen[None]):
     def draw_state(self) -> None:
         """Draw the parts of the state that all screens show, then this screen's parts, if they have changed."""
         state = self.state
-        record = self.cell_app.record
-        self.query_one(DayHeader).show(state, self.workspace.kind, record)
-        self.query_one(ProgressBars).show(record)
+        self.query_one(ProgressBars).show(self.cell_app.record)
         if state != self._state:
+            self.query_one(DayHeader).show(state)
             self.query_one(StepLine).show(state.marks, self.STEP)
             line = self.query_one(".next-words", Line)
             line.display = state.job is None

@@ -32,7 +32,7 @@ from cellapp.interfaces.tui.keys import bind
 from cellapp.interfaces.tui.run_state import RunState, holds_for_drift
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.terminal import since_words
-from cellapp.interfaces.tui.widgets.arm_panel import ArmPanel, TrackerPanel
+from cellapp.interfaces.tui.widgets.arm_panel import ArmPanel, tracker_words
 from cellapp.interfaces.tui.widgets.chart_plot import ChartPlot
 from cellapp.interfaces.tui.widgets.collected_stops import CollectedStops
 from cellapp.interfaces.tui.widgets.controls import Line
@@ -138,7 +138,7 @@ class CollectScreen(DayScreen):
         self.add_class(self._first_view)  # before the widgets are there, whose styles depend on it
         yield Line(id="state")
         yield Horizontal(id="arms")
-        yield TrackerPanel()
+        yield Line(id="tracker")
         yield Line(id="suspicions")
         with Container(id="plots"):
             for name in _PLOTS:
@@ -150,6 +150,10 @@ class CollectScreen(DayScreen):
     def on_mount(self) -> None:
         """Set the tooltips, and focus the log."""
         self.query_one("#state").tooltip = "The state of the job, and what can be done now."
+        self.query_one("#tracker").tooltip = (
+            "The tracker: the arm at which it points; the newest point in the tracker frame and its standard"
+            " uncertainty; the air."
+        )
         self.query_one("#suspicions").tooltip = "What the measurements made doubtful: look at it before you go on."
         for plot in self.query(ChartPlot):
             plot.tooltip = "Errors of the newest points, standard errors, drift of the references."
@@ -275,7 +279,8 @@ class CollectScreen(DayScreen):
         if not running and (self._job is None or self._job.folder != self.workspace.folder):
             record = JobRecord()  # the job was about another run
         self._draw_arms(record)
-        self.query_one(TrackerPanel).tracker = record.tracker
+        tracker = Content.assemble(("tracker", "bold"), " ", tracker_words(record.tracker))
+        self.query_one("#tracker", Line).say(tracker)
         self._draw_suspicions(record)
         self.set_class(record.state is None and not record.arms, "unheard")
         self._draw_plots(record)
@@ -321,8 +326,8 @@ class CollectScreen(DayScreen):
 
     def _draw_plots(self, record: JobRecord) -> None:
         """Draw the plots of new data; while a job runs once a second at most, because drawing delays keys."""
-        reports, chosen = sum(map(len, record.stops.values())), self.query_one(CollectedStops).chosen
-        data, now_s = (record.name, reports, len(record.references), self.workspace, chosen), time.monotonic()
+        chosen = self.query_one(CollectedStops).chosen
+        data, now_s = (record.name, len(record.stops), len(record.references), self.workspace, chosen), time.monotonic()
         if data == self._plotted or (record.state is not None and now_s < self._plotted_s + _PLOTTING_S):
             return
         self._plotted, self._plotted_s = data, now_s
@@ -340,8 +345,7 @@ class CollectScreen(DayScreen):
             if record.references or collection is None:
                 return live_drift_chart(record.references)
             return drift_chart(collection.references, collection.drift_limit_mm)
-        reports = [report for arm in record.stops.values() for report in arm]
-        arms, nothing = self._arm_names(record), self.state.not_collected
+        reports, arms, nothing = record.stops, self._arm_names(record), self.state.not_collected
         if name == "errors":
             return standard_error_chart(reports, arms, nothing)
         if reports or collection is None:

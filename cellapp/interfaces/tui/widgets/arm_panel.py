@@ -96,23 +96,6 @@ def _numbers(values: Sequence[float] | None, unit: str, width: int) -> str:
     return with_decimal if len(with_decimal) <= width else " ".join(f"{value:4.0f}" for value in values) + f" {unit}"
 
 
-class TrackerPanel(Widget):
-    """The arm at which the tracker points, the newest point with its uncertainty, the air."""
-
-    tracker: reactive[TrackerRecord] = reactive(TrackerRecord)
-
-    def __init__(self) -> None:
-        super().__init__(classes="tracker")
-        self.tooltip = (
-            "The tracker: the arm at which it points; the newest point in the tracker frame and its standard"
-            " uncertainty; the air."
-        )
-
-    def render(self) -> Content:
-        """Return the line of the tracker."""
-        return Content.assemble(("tracker", "bold"), " ", tracker_words(self.tracker))
-
-
 def tracker_words(tracker: TrackerRecord) -> str:
     """Return arm, newest point [mm], uncertainty [mm] and air in one line; during a sweep, its progress."""
     if tracker.sweep is not None:
