@@ -133,7 +133,7 @@ def _obstacles(profile: Profile, bases: dict[str, Array]) -> tuple[list[Obstacle
     mounted: dict[str, list[ObstacleBody]] = {}
     for name, entry in profile.obstacles.items():
         pose = pose_matrix(entry.pose)
-        shape, centre = _shape(f"profile {profile.name}: obstacles.{name}", entry)
+        shape, centre = shape_of(f"profile {profile.name}: obstacles.{name}", entry)
         obstacle = ObstacleBody(name, shape, pose @ transform(np.eye(3), centre))
         if entry.arm is None:
             placed.append(obstacle)
@@ -144,7 +144,7 @@ def _obstacles(profile: Profile, bases: dict[str, Array]) -> tuple[list[Obstacle
     return placed, mounted
 
 
-def _shape(key: str, entry: AnyObstacle) -> tuple[Shape, Array]:
+def shape_of(key: str, entry: AnyObstacle) -> tuple[Shape, Array]:
     """Return the solid of an obstacle, and the centre of the solid in the frame of the obstacle's pose, (3,) [m]."""
     if isinstance(entry, MeshObstacle):
         try:

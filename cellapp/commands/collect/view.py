@@ -17,7 +17,9 @@ from cellapp.commands.record import Request, View
 from cellapp.commands.view.charts import Chart
 from cellapp.commands.view.parts import Section, section_of
 from cellapp.commands.view.table import Cell, Table, columns_of, part_title, table_of, with_rows
+from cellapp.commands.view.words import ranges
 from cellapp.ground.counting import counted, mm
+from cellapp.ground.grouping import grouped
 from cellapp.ground.results import second_of
 
 _MOST_LISTED = 10
@@ -141,25 +143,9 @@ def _suspicion(one: CollectedStop) -> tuple[bool, float]:
 
 
 def _grouped(missing: Sequence[Outcome]) -> list[tuple[str, str, str, str]]:
-    """Return stops, arm, kind and reason of missing readings; successive stops with the same values share a row."""
-    groups: list[list[Outcome]] = []
-    latest: dict[str, list[Outcome]] = {}
-    for one in missing:
-        group = latest.get(one.arm)
-        last = group[-1] if group else None
-        if group and last and (last.stop + 1, last.kind, last.reason) == (one.stop, one.kind, one.reason):
-            group.append(one)
-        else:
-            latest[one.arm] = [one]
-            groups.append(latest[one.arm])
-    return [
-        (_stop_words(group[0].stop, group[-1].stop), group[0].arm, group[0].kind, group[0].reason) for group in groups
-    ]
-
-
-def _stop_words(first: int, last: int) -> str:
-    """Return the numbers of stops as people count them, from 1."""
-    return f"{first + 1}" if first == last else f"{first + 1} to {last + 1}"
+    """Return the stops, as people count them, arm, kind and reason of missing readings, a row for each reason."""
+    groups = grouped(((one.arm, one.kind, one.reason), one.stop + 1) for one in missing)
+    return [(ranges(stops), *group) for group, stops in groups.items()]
 
 
 def _sessions(state: CollectionResult) -> Table:

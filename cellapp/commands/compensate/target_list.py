@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from cellapp.cell.targets.records import MeasuredPair, MeasuredTarget, TargetCommand
@@ -19,6 +19,11 @@ _COLUMNS = columns_of(
     *((axis, ".1f", "mm") for axis in ("x", "y", "z")),
     *((angle, ".2f", "°") for angle in ("roll", "pitch", "yaw")),
 )
+_MEASURED_WORDS = {
+    "in": "within tolerance, by its uncertainty",
+    "out": "out of tolerance, by its uncertainty",
+    "not decided": "not decided: nearer to its tolerance than its uncertainty",
+}
 COLUMN_GROUPS = (5, 6, 7, 9, 12, 15)
 """Numbers of columns that a narrow screen can show without splitting a position or a rotation."""
 
@@ -124,10 +129,61 @@ def target_list(targets: Sequence[Target], results: RunResults | None) -> Table:
 
 
 def target_words(target: Target, results: RunResults | None) -> str:
-    """State the row of one target in the list: a narrow screen has no room for all of its columns."""
-    table = target_list((target,), results)
-    cells = zip(table.headings[1:], table.text_rows()[0][1:], strict=True)
-    return f"{target.name}: {'; '.join(f'{heading} {text}' for heading, text in cells if text)}"
+    """State what the run knows about one target, and its position."""
+    x, y, z = (f"{value * 1e3:z.1f}" for value in target.position)
+    rotation = "any rotation"
+    if target.rpy is not None:
+        rotation = "roll {:z.2f}, pitch {:z.2f}, yaw {:z.2f} deg".format(*(math.degrees(angle) for angle in target.rpy))
+    frame = "" if target.frame == "base" else f" in frame {target.frame}"
+    state = _state_words(target, target_state(target, results))
+    return f"{target.name}: {state}.\nx {x}, y {y}, z {z} mm{frame}; {rotation}"
+
+
+def _state_words(target: Target, state: TargetState) -> str:
+    if not state.commands and not state.measured:
+        return "not compensated yet as it is now"
+    words = []
+    if state.refusals:
+        words.append(f"refused: {'; '.join(state.refusals)}")
+    elif state.commands:
+        words.append(f"compensated; {_uncertainty_words(state.commands)}")
+    predicted = TargetState(state.commands).verdict
+    if predicted:
+        limits = [
+            f"{shown_tolerance(limit):g} {unit}"
+            for limit, unit in ((target.tolerance_mm, "mm"), (target.orientation_tolerance_mrad, "mrad"))
+            if limit is not None
+        ]
+        words.append(f"tolerance {' and '.join(limits)} predicted: {predicted}")
+    several = len(state.measured) > 1
+    for one in state.measured:
+        if (mm := one.final_mm) is not None:
+            arm = f"arm {one.arm} " if several else ""
+            before = "" if one.nominal_mm is None else f", {one.nominal_mm:.4f} mm without compensation"
+            words.append(f"{arm}measured {mm:.4f} mm from the target{before}{_rounds_words(one)}")
+    if state.pair is not None and (mm := state.pair.final_mm) is not None:
+        words.append(f"distance of both SMRs off by {mm:.4f} mm{_rounds_words(state.pair)}")
+    if state.pair is not None and (seen := state.pair.relative) is not None:
+        rotation = "" if seen.final_mrad is None else f" and {seen.final_mrad:.4f} mrad"
+        words.append(f"partner seen from the first flange off by {seen.final_mm:.4f} mm{rotation}")
+    if state.is_measured and state.verdict:
+        words.append(_MEASURED_WORDS[state.verdict])
+    return "; ".join([*words, *(note for note in state.notes if not state.refusals)])
+
+
+def _uncertainty_words(commands: Iterable[TargetCommand]) -> str:
+    known = [one.uncertainty_mm for one in commands if one.uncertainty_mm is not None]
+    if not known:
+        return "the model states no uncertainty"
+    bounds = [one.within_mm for one in commands if one.within_mm is not None]
+    within = f", 95 % of errors within {max(bounds):.4f} mm" if bounds else ""
+    return f"standard uncertainty of a coordinate {max(known):.4f} mm{within}"
+
+
+def _rounds_words(one: Measured) -> str:
+    """State the error by the model alone, if the target was corrected by measuring."""
+    rounds = len(one.rounds_mm) - 1
+    return "" if rounds < 1 else f" ({one.compensated_mm:.4f} mm by the model alone, {rounds} corrected)"
 
 
 def _row(target: Target, state: TargetState) -> tuple[Cell, ...]:

@@ -28,7 +28,6 @@ from cellapp.commands.discover.words import (
     also_possible,
     alternative_sentences,
     description_sentences,
-    gap_sentences,
     misfit_sentences,
     orientation_sentences,
     remainder_sentences,
@@ -263,10 +262,10 @@ def picture_chart(name: str, picture: Picture) -> Chart:
         series("computed", shown.x, computed, "line" if line else "points", band=band, style=1),
     )
     x, y = _axis(picture.x_label), _axis(picture.y_label)
-    message = " ".join([size_sentence(picture), *gap_sentences(picture)])
     values = np.concatenate([picture.measured, computed])
     shown_range = typical_range(values, np.array(picture.computed)) if len(values) else None
-    return Chart(f"Arm {name}: {picture_title(picture)}", x, y, drawn, message, y_range=shown_range, by_stage=True)
+    title, message = f"Arm {name}: {picture_title(picture)}", size_sentence(picture)
+    return Chart(title, x, y, drawn, message, y_range=shown_range, by_stage=True)
 
 
 def is_line(picture: Picture) -> bool:

@@ -5,23 +5,19 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from itertools import pairwise
 
 from cellapp.commands.view.words import probability_words, ranges
-from cellapp.estimation.discovery.records import AcceptedEffect, ArmDiscoveryResult, CurveRecord, EffectMeaning, Picture
+from cellapp.estimation.discovery.records import AcceptedEffect, ArmDiscoveryResult, EffectMeaning, Picture
 from cellapp.estimation.discovery.verdict import unnamed_words
 
 _PLAY = re.compile(r"half_play(\d+)")
 _SURELY = 2.0
 """Standard errors below zero from which half play is called negative."""
-_TURN = 360.0
 _NOTICEABLE_MISFIT = 0.1
 """Ratio of the displacement beside a law to that by the law, from which the law counts as not quite as expected: below
 a tenth it is hidden by the uncertainty of the masses alone."""
 _NOT_IMPROBABLE = 0.05
 """Probability from which an effect that was not accepted is mentioned."""
-_GAP_DEG = 10.0
-"""Width from which a joint's widest range without readings is named: narrower ones are plain sampling."""
 
 
 def verdict_sentence(name: str, arm: ArmDiscoveryResult) -> str:
@@ -179,28 +175,8 @@ def size_sentence(picture: Picture) -> str:
     )
 
 
-def gap_sentences(picture: Picture) -> list[str]:
-    """Name the widest range without a reading of a curve over a whole turn."""
-    if picture.curve is None or not _is_whole_turn(picture.curve):
-        return []
-    begin, end = _largest_gap(picture.x)
-    if end - begin < _GAP_DEG:
-        return []
-    return [f"No reading was taken from {begin:.0f}° to {(end + 180.0) % 360.0 - 180.0:.0f}°."]
-
-
 def _unit(picture: Picture) -> str:
     return "µrad" if picture.y_label.endswith("[urad]") else "µm"
-
-
-def _is_whole_turn(curve: CurveRecord) -> bool:
-    return curve.x[-1] - curve.x[0] == _TURN
-
-
-def _largest_gap(angles: Sequence[float]) -> tuple[float, float]:
-    """Return the ends [deg] of the widest range of a turn without a value; the second may exceed 180."""
-    around = [*angles, angles[0] + 360.0]
-    return max(pairwise(around), key=lambda pair: pair[1] - pair[0])
 
 
 def _rms(values: Sequence[float]) -> float:

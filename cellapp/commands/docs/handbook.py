@@ -3,56 +3,36 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
+from itertools import chain
 
 from cellapp.commands.docs.keys import filled_keys
 from cellapp.ground.counting import did_you_mean
 from cellapp.ground.errors import InputError
 
-PARTS: Mapping[str, Mapping[str, str]] = {
-    "begin here": {
-        "tutorial": "from an empty folder to a certificate, on the simulated twin",
-        "readings": "readings that you measured elsewhere: any table, any arm, in ten minutes",
-        "cell": "connecting the real cell step by step, with its risks; writing a profile",
-        "instruments": "tracker, bridge, 6-D probe, weather station",
-        "faults": "stopping, going on after a fault, and what each message asks of you",
-        "glossary": "the terms of the field as this program uses them",
-    },
-    "measure and calibrate": {
-        "install": "a wheel, extras, completion in the shell, Windows, a container",
-        "commands": "every command, JSON, exit codes",
-        "terminal": "the terminal application: a day, its screens and its keys",
-        "planning": "which stops are measured, obstacles, editing a plan",
-        "motion": "sweeps instead of stops: recordings of joints and points, each with its own clock",
-        "discovery": "how discovery decides, and what its words mean",
-        "effects": "the physical effects that discovery knows",
-        "files": "every file that goes in or comes out: columns, units, frames, examples",
-        "frames": "frames and conventions: where each frame sits, signs, D-H rows, order of rotations",
-        "limits": "what was never tried on real hardware, and what the program does not do",
-    },
-    "use what was calibrated": {
-        "targets": "targets, paths and UR programs for the calibrated arms: lists, verdicts, uncertainty, measuring",
-        "exports": "calibrated arms for other programs, and what their files cannot hold",
-        "check": "whether a calibration still holds, what moved or changed; calibrating again with few stops",
-        "iso9283": "tests by ISO 9283: cube, cycles, formulas, uncertainty, what one SMR cannot show",
-        "report": "the page and the certificate of a run: tolerances, uncertainty, decision rule, signing",
-        "python": "using cellapp from Python: runs, models, data frames, mistakes",
-    },
-    "for developers": {
-        "validation": "what was measured of the program, on real arms first, each with the program that measured it",
-        "extend": "arms, drivers, effects and exports of your own, as plug-ins",
-        "emulator": "the emulated cell: real protocols, faults at will",
-        "scale": "effects hidden in a cell of yours: trials on all cores or a Dask cluster",
-        "architecture": "how the code is laid out, how to add to it, tests",
-        "decisions": "decisions that shaped the architecture, with their reasons",
-    },
+PARTS: Mapping[str, tuple[str, ...]] = {
+    "begin here": ("tutorial", "readings", "cell", "instruments", "faults", "glossary"),
+    "measure and calibrate": (
+        "install",
+        "commands",
+        "terminal",
+        "planning",
+        "motion",
+        "discovery",
+        "effects",
+        "files",
+        "frames",
+        "limits",
+    ),
+    "use what was calibrated": ("targets", "exports", "check", "iso9283", "report", "python"),
+    "for developers": ("validation", "extend", "emulator", "scale", "architecture", "decisions"),
 }
-"""Name and subject of each chapter, a Markdown file of ``cellapp.docs``, by part of the handbook."""
-CHAPTERS: Mapping[str, str] = {name: subject for part in PARTS.values() for name, subject in part.items()}
-"""Name and subject of each chapter, in the order of the parts."""
+"""Names of the chapters, Markdown files of ``cellapp.docs``, by part of the handbook."""
+CHAPTERS = tuple(chain.from_iterable(PARTS.values()))
+"""Names of the chapters, in the order of the parts."""
 _SECTION = re.compile(r"^## (\w+)$", re.MULTILINE)
 _MARKER = re.compile(r"<!--.*?-->\n")
 _FOR_TESTS = re.compile(r"^([ ]*```\w+) .*$", re.MULTILINE)
@@ -75,7 +55,7 @@ def topic_text(topic: str) -> str:
     kept = chapter_text(topic) if topic in CHAPTERS else effect_sections().get(topic)
     if kept is None:
         meant = did_you_mean(topic, topics(), "did you mean '{}'? Topics", otherwise="topics")
-        where = ", ".join(one.section.address for one in search(topic)[:3])
+        where = ", ".join(one.address for one in search(topic)[:3])
         where = f"; sections with this word: {where}" if where else ""
         raise InputError(f"docs: '{topic}' is not a topic; {meant} are {', '.join(topics())}{where}")
     return filled_keys(_FOR_TESTS.sub(r"\1", _MARKER.sub("", kept)))
@@ -104,8 +84,7 @@ def anchor_of(heading: str) -> str:
     return re.sub(r"[^\w -]", "", heading.lower()).strip().replace(" ", "-")
 
 
-_FENCE = re.compile(r"^```")
-_HEADING = re.compile(r"^(#+) (.+)$")
+_CODE_OR_HEADING = re.compile(r"^```.*?^```|^(#+) ([^\n]+)$", re.MULTILINE | re.DOTALL)
 _PICTURE = re.compile(r"!\[([^\]]+)\]\(([^)]+)\)")
 _CAPTION = re.compile(r"(!\[([^\]]+)\]\([^)]+\)\n)\n\*\2\.?\*\n")
 """A picture followed by a caption that repeats its words."""
@@ -131,13 +110,10 @@ class ChapterSection:
         """Its Markdown with each picture replaced by its words."""
         return _PICTURE.sub(r"*Picture: \1*", _CAPTION.sub(r"\1", self.text))
 
-
-@dataclass(frozen=True)
-class FoundText:
-    """A section that contains all searched words, and its first line with one of them."""
-
-    section: ChapterSection
-    line: str
+    def line_with(self, words: str) -> str:
+        """Return the first line below its heading with one of the words; empty if only the heading has them."""
+        lines = (line.strip() for line in self.text.splitlines()[1:] if line.strip())
+        return next((line for line in lines if any(word in line.lower() for word in words.lower().split())), "")
 
 
 @cache
@@ -149,43 +125,22 @@ def sections(chapter: str) -> tuple[ChapterSection, ...]:
     InputError
         If there is no such chapter.
     """
-    return tuple(_split(chapter, topic_text(chapter)))
+    text = topic_text(chapter)
+    found = [match for match in _CODE_OR_HEADING.finditer(text) if match[1]]
+    ends = [*(match.start() for match in found[1:]), len(text)]
+    return tuple(
+        ChapterSection(chapter, anchor_of(match[2]), match[2], len(match[1]), text[match.start() : end])
+        for match, end in zip(found, ends, strict=True)
+    )
 
 
-def search(words: str) -> tuple[FoundText, ...]:
+def search(words: str) -> list[ChapterSection]:
     """Find the sections with all of some words, ignoring case; first those with all words in the heading."""
     wanted = words.lower().split()
-    if not wanted:
-        return ()
     hits = [
         one
         for chapter in CHAPTERS
         for one in sections(chapter)
-        if all(word in f"{one.heading}\n{one.text}".lower() for word in wanted)
+        if wanted and all(word in f"{one.heading}\n{one.text}".lower() for word in wanted)
     ]
-    hits.sort(key=lambda one: not all(word in one.heading.lower() for word in wanted))  # stable sort
-    return tuple(FoundText(one, _line_with(one.text, wanted)) for one in hits)
-
-
-def _split(chapter: str, text: str) -> Iterator[ChapterSection]:
-    fenced, started = False, (1, chapter)
-    lines: list[str] = []
-    for line in text.splitlines():
-        fenced ^= _FENCE.match(line) is not None
-        heading = None if fenced else _HEADING.match(line)
-        if heading is not None:
-            if lines:
-                yield _section(chapter, started, lines)
-            started, lines = (len(heading[1]), heading[2]), []
-        lines.append(line)
-    yield _section(chapter, started, lines)
-
-
-def _section(chapter: str, started: tuple[int, str], lines: list[str]) -> ChapterSection:
-    level, heading = started
-    return ChapterSection(chapter, anchor_of(heading), heading, level, "\n".join(lines) + "\n")
-
-
-def _line_with(text: str, words: list[str]) -> str:
-    lines = [line for line in text.splitlines()[1:] if line.strip()]
-    return next((line.strip() for line in lines if any(word in line.lower() for word in words)), "")
+    return sorted(hits, key=lambda one: not all(word in one.heading.lower() for word in wanted))

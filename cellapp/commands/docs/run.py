@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cellapp.commands.docs.handbook import PARTS, effect_sections, search, topic_text
+from cellapp.commands.docs.handbook import PARTS, effect_sections, search, sections, topic_text
 from cellapp.commands.docs.request import DocsRequest
 from cellapp.commands.record import Request, View, Work
 from cellapp.ground.results import Result
@@ -33,7 +33,7 @@ def run(request: DocsRequest, work: Work) -> DocsResult | SchemaResult:
 
         return SchemaResult(text=schemas_text(request.topic))
     if request.words is not None:
-        lines = [f"{hit.section.address}\n  {hit.line}" for hit in search(request.words)]
+        lines = [f"{one.address}\n  {one.line_with(request.words)}" for one in search(request.words)]
         return DocsResult(topic="", text="\n".join(lines) or f"no section has all of these words: {request.words}")
     if request.topic is None:
         return DocsResult(topic="", text=_topics())
@@ -43,7 +43,7 @@ def run(request: DocsRequest, work: Work) -> DocsResult | SchemaResult:
 def _topics() -> str:
     lines = []
     for part, chapters in PARTS.items():
-        lines += [f"{part}:", *(f"  {name:12} {subject}" for name, subject in chapters.items()), ""]
+        lines += [f"{part}:", *(f"  {name:12} {sections(name)[0].heading}" for name in chapters), ""]
     return "\n".join([*lines, "or an effect:", *(f"  {slug}" for slug in effect_sections())])
 
 

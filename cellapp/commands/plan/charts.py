@@ -3,33 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import product
 
 import numpy as np
 
-from cellapp.cell.safety.shapes import load_mesh
+from cellapp.cell.safety.cell_bodies import shape_of
+from cellapp.cell.safety.shapes import Cylinder, Mesh, RoundedBox
 from cellapp.commands.plan.result import PlannedStop
 from cellapp.commands.view.charts import Axis, Chart, Series, enumerated, series
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
-from cellapp.ground.profile import Pose, Profile
-from cellapp.ground.profile.sections import (
-    AnyObstacle,
-    BoxObstacle,
-    CapsuleObstacle,
-    CylinderObstacle,
-    MeshObstacle,
-    SphereObstacle,
-)
+from cellapp.ground.profile import Profile
+from cellapp.ground.profile.sections import AnyObstacle
 from cellapp.robot.kinematics.chain import flange_poses, smr_positions
-from cellapp.robot.kinematics.transforms import Array, apply
+from cellapp.robot.kinematics.transforms import Array, apply, transform
 from cellapp.robot.model.nominal import nominal_arm, pose_matrix
 
 OBSTACLE_STYLE = 5
 """Style of obstacles; the arms of a cell of two have other styles."""
-_AROUND = 24
-"""Points around a circle: a chord is at most 1 % of the radius off."""
-_ALONG = 5
-"""Points along an edge: straight edges look curved in azimuth and elevation."""
+_ANGLES = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+"""Around a circle: a chord is at most 1 % of the radius off."""
+_CIRCLE = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES), np.zeros_like(_ANGLES)])
+_SPHERE = np.concatenate([_CIRCLE * np.cos(up) + (0.0, 0.0, np.sin(up)) for up in np.linspace(-0.5, 0.5, 13) * np.pi])
+"""Points of circles of latitude."""
+_CORNERS = np.array([*product((-1.0, 1.0), repeat=3)])
+"""Of a box with sides of two about the origin."""
 
 
 def outlined_obstacles(profile: Profile) -> dict[str, Array]:
@@ -43,53 +41,30 @@ def outlined_obstacles(profile: Profile) -> dict[str, Array]:
         arm = profile.arms[name]
         if arm.home is not None:
             rotation, origin = flange_poses(nominal_arm(arm).with_T_M_B(T_C_B), np.array([arm.home]))
-            flanges[name] = np.block([[rotation[0], origin[0][:, None]], [np.zeros(3), 1.0]])
+            flanges[name] = transform(rotation[0], origin[0])
     found = {}
     for name, one in profile.obstacles.items():
         frame = np.eye(4) if one.arm is None else (bases if one.fixed_to == "base" else flanges).get(one.arm)
-        points = surface_points(one)
+        points = surface_points(name, one)
         if frame is not None and len(points):
-            T_C_O = frame @ pose_matrix(Pose(position=one.pose.position, rpy=one.pose.rpy))
-            found[name] = apply(T_C_O, points)
+            found[name] = apply(frame @ pose_matrix(one.pose), points)
     return found
 
 
-def surface_points(obstacle: AnyObstacle) -> Array:
+def surface_points(name: str, obstacle: AnyObstacle) -> Array:
     """Return points (n, 3) [m] in the obstacle's frame that span its convex hull; none if a mesh cannot be read."""
-    match obstacle:
-        case BoxObstacle():
-            edges = (np.linspace(-0.5 * length, 0.5 * length, _ALONG) for length in obstacle.size)
-            return np.stack(np.meshgrid(*edges), axis=-1).reshape(-1, 3)
-        case CylinderObstacle():
-            return _along_z(_circle(obstacle.radius), np.linspace(-0.5, 0.5, _ALONG) * obstacle.length)
-        case CapsuleObstacle():
-            return _along_z(_sphere(obstacle.radius), np.array([-0.5, 0.5]) * obstacle.length)
-        case SphereObstacle():
-            return _sphere(obstacle.radius)
-        case MeshObstacle():
-            try:
-                mesh, centre = load_mesh(obstacle.file, obstacle.scale)
-            except InputError:  # draw the map without it; planning reports the error
-                return np.empty((0, 3))
-            return mesh.vertices + centre
-
-
-def _circle(radius: float) -> Array:
-    angle = 2.0 * np.pi * np.arange(_AROUND) / _AROUND
-    return np.column_stack([radius * np.cos(angle), radius * np.sin(angle), np.zeros(_AROUND)])
-
-
-def _sphere(radius: float) -> Array:
-    """Return the points of circles of latitude of a sphere."""
-    up = np.pi * (np.arange(_AROUND // 2 + 1) / (_AROUND // 2) - 0.5)
-    circles = _circle(radius)[None] * np.cos(up)[:, None, None]
-    circles[:, :, 2] = radius * np.sin(up)[:, None]
-    return circles.reshape(-1, 3)
-
-
-def _along_z(points: Array, at: Array) -> Array:
-    """Return copies of points (n, 3), shifted along z to each height of ``at`` (m,)."""
-    return np.asarray((points[None] + at[:, None, None] * np.array([0.0, 0.0, 1.0])).reshape(-1, 3))
+    try:
+        shape, centre = shape_of(name, obstacle)
+    except InputError:  # draw the map without it; planning reports the error
+        return np.empty((0, 3))
+    if isinstance(shape, Mesh):
+        return shape.vertices + centre
+    if isinstance(shape, Cylinder):
+        middle, around = _CORNERS * (0.0, 0.0, shape.half_length), _CIRCLE
+    else:
+        assert isinstance(shape, RoundedBox)
+        middle, around = _CORNERS * shape.core, _SPHERE
+    return np.asarray(middle[:, None] + shape.radius * around).reshape(-1, 3)
 
 
 def obstacle_series(obstacles: Iterable[Array]) -> Iterator[Series]:

@@ -174,12 +174,11 @@ def _summary(run: RunFile, known: RunSummary) -> RunSummary:
     reserves = run.profile.plan.reserves(total)
     remaining = sum(stop not in done and stop not in reserves for stop in range(total))
     last = _last_session(sessions)
-    return RunSummary(
-        run=known.run,
+    return RunSummary.like(
+        known,
         profile=run.profile.name,
         cell=run.profile.cell_kind,
         began=run.created,
-        changed=known.changed,
         arms=arms,
         stops_planned=total - len(reserves),
         stops_measured=len(done),
@@ -194,8 +193,6 @@ def _summary(run: RunFile, known: RunSummary) -> RunSummary:
         next_verb=after.verb,
         next_step=after.short,
         interrupted=last is not None and last not in _DONE and remaining > 0,
-        in_use=known.in_use,
-        size_bytes=known.size_bytes,
     )
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-
 from rich import filesize
 
 from cellapp.commands.record import Request, View
@@ -21,44 +19,13 @@ from cellapp.commands.runs.result import (
     short_name,
     stops_words,
 )
-from cellapp.commands.view.table import Column, Table, columns_of, table_of, with_rows
+from cellapp.commands.view.table import Table, table_of, with_rows
 from cellapp.commands.view.words import display_unit
 from cellapp.estimation.discovery.records import BeforeAfter
 from cellapp.ground.counting import counted
 from cellapp.ground.grouping import grouped
 from cellapp.ground.results import day_of, minute_of
 from cellapp.ground.shell import shell_word
-
-
-def run_columns(folder: str) -> dict[str, Callable[[RunSummary], str]]:
-    """Return the columns of a list of the runs below ``folder``, the name first: title -> text of a readable run."""
-    return {
-        "run": lambda run: short_name(run, folder),
-        "began (UTC)": lambda run: minute_of(run.began),
-        "cell": lambda run: CELL_WORDS[run.cell],
-        "stops": stops_words,
-        "next": next_words,
-        "error now [mm]": _errors_words,
-        "effects": _effects,
-        "profile": lambda run: run.profile,
-    }
-
-
-def run_cells(run: RunSummary, columns: Mapping[str, Callable[[RunSummary], str]]) -> list[str]:
-    """Return the texts of one row; for a run that cannot be read, its name and the reason."""
-    if run.problem:
-        return [columns["run"](run), "", "unreadable", *[""] * (len(columns) - 3)]
-    return [words(run) for words in columns.values()]
-
-
-def _errors_words(run: RunSummary) -> str:
-    """State the mean held-out error of each arm with its best model."""
-    return ", ".join(f"{arm.heldout_mm.after:.3f}" for arm in run.figures.values() if arm.heldout_mm)
-
-
-def _effects(run: RunSummary) -> str:
-    return effects_words(tuple(dict.fromkeys(slug for arm in run.figures.values() for slug in arm.effects)))
-
 
 _MM = ".3f"
 
@@ -71,25 +38,31 @@ def view(result: RunsResult | ArmHistory, request: Request | None = None) -> Vie
 
 
 def runs_tables(result: RunsResult) -> list[Table]:
-    """Show the state of every readable run, and the errors of every calibrated arm."""
-    named = [(short_name(run, result.folder), run) for run in result.runs if not run.problem]
-    state = Table(
-        f"Runs below {result.folder}, newest first",
-        tuple(map(Column, ("run", "cell", "began", "stops", "next"))),
-        tuple(
-            (name, CELL_WORDS[run.cell], day_of(run.began), stops_words(run), next_words(run)) for name, run in named
-        ),
-    )
-    errors = Table(
+    """Show the state of every run, and the errors of every calibrated arm."""
+    errors = table_of(
         "Mean errors [mm]: held-out positions, targets without and with compensation",
-        columns_of("run", "arm", *((title, _MM) for title in ("geometry", "in force", "targets", "compensated"))),
-        tuple(
-            (name, arm, *_pair(figures.heldout_mm), *_pair(figures.verified_mm))
-            for name, run in named
-            for arm, figures in run.figures.items()
-        ),
+        [(run, arm, figures) for run in result.runs for arm, figures in run.figures.items()],
+        ("run", lambda row: short_name(row[0], result.folder)),
+        ("arm", lambda row: row[1]),
+        ("geometry", lambda row: _pair(row[2].heldout_mm)[0], _MM),
+        ("in force", lambda row: _pair(row[2].heldout_mm)[1], _MM),
+        ("targets", lambda row: _pair(row[2].verified_mm)[0], _MM),
+        ("compensated", lambda row: _pair(row[2].verified_mm)[1], _MM),
     )
-    return with_rows(state, errors)
+    return with_rows(runs_table(result), errors)
+
+
+def runs_table(result: RunsResult) -> Table:
+    """Show the state of every run; of one that cannot be read, its name."""
+    return table_of(
+        f"Runs below {result.folder}, newest first",
+        result.runs,
+        ("run", lambda run: short_name(run, result.folder)),
+        ("cell", lambda run: "unreadable" if run.problem else CELL_WORDS[run.cell]),
+        ("began", lambda run: day_of(run.began)),
+        ("stops", lambda run: "" if run.problem else stops_words(run)),
+        ("next", lambda run: "" if run.problem else next_words(run)),
+    )
 
 
 def runs_sentences(result: RunsResult) -> list[str]:

@@ -10,7 +10,6 @@ import inspect
 import os
 import re
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -139,8 +138,10 @@ def with_force(function: Callable[..., Any]) -> Callable[..., Any]:
 
     @functools.wraps(function)
     def command(*, force: bool = False, **values: Any) -> Any:
-        with _called(_outputs_of(written, options, own, values, force=force)):
-            return function(**values)
+        token = _current.set(_outputs_of(written, options, own, values, force=force))
+        result = function(**values)
+        _current.reset(token)  # a call that failed keeps its files for the message about it
+        return result
 
     replaced = [option for name, option in options.items() if written[name] not in _ADDED_TO]
     words = f"Replace files of {', '.join(replaced)} that are there."
@@ -181,13 +182,6 @@ def _paths(value: object) -> Iterator[Path]:
     elif isinstance(value, (list, tuple)):
         for one in value:
             yield from _paths(one)
-
-
-@contextmanager
-def _called(outputs: CommandOutputs) -> Iterator[None]:
-    token = _current.set(outputs)
-    yield
-    _current.reset(token)  # a call that failed keeps its files for the message about it
 
 
 def _how(annotation: object) -> Writes | None:

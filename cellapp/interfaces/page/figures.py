@@ -1,6 +1,4 @@
-"""Sections as the page draws them: charts as figures with anchors, and parts grouped by kind.
-
-A chart as inline SVG for the page: readable without a script and in print; names from users are escaped.
+"""A chart as inline SVG for the page: readable without a script and in print; names from users are escaped.
 
 One path for each series: a few kilobytes and a millisecond per chart, where a plotting library takes fifty.
 """
@@ -14,12 +12,12 @@ from html import escape
 import numpy as np
 
 from cellapp.commands.view.charts import Array, Chart, Limit, Series
-from cellapp.commands.view.parts import Facts, Parts, Section
+from cellapp.commands.view.parts import Parts
 from cellapp.commands.view.table import Table
 from cellapp.interfaces.render.chart import (
     DOT,
     FEW,
-    LegendEntry,
+    Legend,
     Look,
     Scale,
     chart_scale,
@@ -163,7 +161,7 @@ class Figure:
 
     svg: str
     caption: str
-    legend: tuple[LegendEntry, ...]
+    legend: Legend
     note: str = ""
     key: str = ""
 
@@ -171,7 +169,7 @@ class Figure:
 def chart_figure(key: str, chart: Chart) -> Figure:
     """Return a chart's figure; ``key`` is its anchor on the page. An empty chart has only its message."""
     if chart.is_empty:
-        return Figure("", chart.title, (), chart.message, key)
+        return Figure("", chart.title, [], chart.message, key)
     return Figure(chart_svg(chart), chart.title, legend_of(chart), chart.message, key)
 
 
@@ -179,45 +177,13 @@ _HALF, _GAP, _SENTENCE = 60, 2, 30
 """Characters: of a table in half of a screen, between two columns, and of a line of a sentence in a cell."""
 
 
-@dataclass(frozen=True)
-class DrawnParts:
-    """Parts in the order of the page; each table comes with whether it needs the whole width."""
-
-    sentences: tuple[str, ...]
-    facts: tuple[Facts, ...]
-    figures: tuple[Figure, ...]
-    tables: tuple[tuple[Table, bool], ...]
-    sections: tuple[DrawnSection, ...]
+def part_figures(parts: Parts, key: str) -> list[Figure]:
+    """Return the figures of parts; their anchors are ``key`` and a number. Charts without values are omitted."""
+    charts = (one for one in parts if isinstance(one, Chart) and not one.is_empty)
+    return [chart_figure(f"{key}-{place}", chart) for place, chart in enumerate(charts, start=1)]
 
 
-@dataclass(frozen=True)
-class DrawnSection:
-    """A section and its content."""
-
-    told: Section
-    parts: DrawnParts
-
-
-def drawn_sections(sections: Iterable[Section], key: str = "") -> tuple[DrawnSection, ...]:
-    """Return sections with their content; those without an anchor number their figures below ``key``."""
-    return tuple(
-        DrawnSection(one, drawn_parts(one.parts, one.key or f"{key}-{place}")) for place, one in enumerate(sections, 1)
-    )
-
-
-def drawn_parts(parts: Parts, key: str) -> DrawnParts:
-    """Group parts by kind; anchors of figures are ``key`` and a number. Charts without values are omitted."""
-    charts = [one for one in parts if isinstance(one, Chart) and not one.is_empty]
-    return DrawnParts(
-        sentences=tuple(one for one in parts if isinstance(one, str) and one),
-        facts=tuple(one for one in parts if isinstance(one, Facts)),
-        figures=tuple(chart_figure(f"{key}-{place}", chart) for place, chart in enumerate(charts, start=1)),
-        tables=tuple((one, _is_wide(one)) for one in parts if isinstance(one, Table)),
-        sections=drawn_sections((one for one in parts if isinstance(one, Section)), f"{key}-part"),
-    )
-
-
-def _is_wide(table: Table) -> bool:
+def is_wide(table: Table) -> bool:
     """Return whether the cells of a table need more than half of a screen."""
     rows = [table.headings, *table.text_rows()]
     longest = [max(max(map(len, word.split()), default=0) for word in column) for column in zip(*rows, strict=True)]

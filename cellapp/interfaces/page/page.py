@@ -8,6 +8,7 @@ Templates of the HTML pages.
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -21,10 +22,12 @@ from cellapp.commands.report.data import ReportData, out_of_date_lines, read_rep
 from cellapp.commands.report.sections import report_sections
 from cellapp.commands.report.summary import header_facts, nothing_found, summary
 from cellapp.commands.stages import data_mark
+from cellapp.commands.view.parts import Facts, Section
+from cellapp.commands.view.table import Table
 from cellapp.commands.view.words import VERDICT_TITLES, Verdict
 from cellapp.ground.outputs import RENEWED
 from cellapp.ground.results import CERTIFICATE
-from cellapp.interfaces.page.figures import DrawnSection, drawn_sections
+from cellapp.interfaces.page.figures import is_wide, part_figures
 
 if TYPE_CHECKING:
     from jinja2 import Template
@@ -32,6 +35,8 @@ if TYPE_CHECKING:
 
 _COMMAND = re.compile(r"&#39;(cellapp [^&]+)&#39;")
 """A command in an escaped sentence."""
+_KINDS = {"sentence": str, "facts": Facts, "table": Table, "section": Section}
+"""Kinds of parts that a template draws, beside charts."""
 _SHA_256 = re.compile(r"[0-9a-f]{64}")
 
 
@@ -50,6 +55,9 @@ def template(name: str) -> Template:
     environment.filters["svg"] = Markup  # made by cellapp, without any text that a user wrote
     environment.filters["prose"] = lambda text: Markup(_COMMAND.sub(r"<code>\1</code>", str(escape(text))))
     environment.filters["is_hash"] = lambda text: bool(_SHA_256.fullmatch(text))
+    environment.filters["of_kind"] = lambda parts, kind: [one for one in parts if one and isinstance(one, _KINDS[kind])]
+    environment.filters["figures"] = part_figures
+    environment.filters["is_wide"] = is_wide
     environment.tests["verdict"] = VERDICT_TITLES.__contains__
     return environment.get_template(name)
 
@@ -61,7 +69,7 @@ class DrawnCertificate:
     result: CertificateResult
     marks: tuple[str, ...]
     verdict: Verdict
-    sections: tuple[DrawnSection, ...]
+    sections: Sequence[Section]
 
 
 def certificate_of_run(data: ReportData) -> DrawnCertificate | None:
@@ -77,10 +85,7 @@ def certificate_page(result: CertificateResult) -> str:
 
 def _drawn(result: CertificateResult, outdated: str = "") -> DrawnCertificate:
     return DrawnCertificate(
-        result,
-        tuple(certificate_marks(result, outdated)),
-        certificate_verdict(result),
-        drawn_sections(certificate_sections(result), "certificate"),
+        result, tuple(certificate_marks(result, outdated)), certificate_verdict(result), certificate_sections(result)
     )
 
 
@@ -113,5 +118,5 @@ def page_text(run: RunFile, written: datetime) -> str:
         summary=summary(data, data.judgements, written.date()),
         nothing_found=nothing_found(data),
         certificate=certificate_of_run(data),
-        sections=drawn_sections(report_sections(run, data)),
+        sections=report_sections(run, data),
     )

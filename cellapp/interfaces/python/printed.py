@@ -128,8 +128,8 @@ def draw_charts(charts: Sequence[Chart]) -> Drawing:
 def _figure(chart: Chart) -> str:
     drawn = chart_figure("", chart)
     names = (
-        f'<span style="color: {"inherit" if one.look is None else one.look.css_colour}">{escape(one.text)}</span>'
-        for one in drawn.legend
+        f'<span style="color: {"inherit" if look is None else look.css_colour}">{escape(text)}</span>'
+        for look, text in drawn.legend
     )
     words = f"<figcaption>{escape(drawn.caption)}</figcaption>{drawn.svg}<p>{' · '.join(names)}</p>"
     return f'<figure style="max-width: 44rem">{words}<p>{escape(drawn.note)}</p></figure>'

@@ -52,12 +52,8 @@ class Look:
         return css_colour(self.colour)
 
 
-@dataclass(frozen=True)
-class LegendEntry:
-    """One entry of a legend: the look of its swatch (None: no swatch) and a text."""
-
-    look: Look | None
-    text: str
+Legend = list[tuple[Look | None, str]]
+"""Entries of a legend: the look of a swatch (None: no swatch) and a text."""
 
 
 def look_of(chart: Chart, one: Series) -> Look:
@@ -80,14 +76,12 @@ def series_words(chart: Chart, one: Series) -> str:
     return _WORDS.get(one.name, one.name) if chart.by_stage else one.name
 
 
-def legend_of(chart: Chart) -> tuple[LegendEntry, ...]:
+def legend_of(chart: Chart) -> Legend:
     """Return one entry for each series, and for each limit and band by name."""
-    entries = [LegendEntry(look_of(chart, one), series_words(chart, one)) for one in chart.series]
-    limits = dict.fromkeys(limit.name for limit in chart.limits)
-    entries += [LegendEntry(Look("ink", "limit"), name) for name in limits]
-    if any(one.band is not None for one in chart.series):
-        entries.append(LegendEntry(None, "bands: 95 %"))
-    return tuple(entries)
+    entries: Legend = [(look_of(chart, one), series_words(chart, one)) for one in chart.series]
+    entries += [(Look("ink", "limit"), name) for name in dict.fromkeys(limit.name for limit in chart.limits)]
+    bands = any(one.band is not None for one in chart.series)
+    return [*entries, *([(None, "bands: 95 %")] if bands else [])]
 
 
 _ROOM = 0.05

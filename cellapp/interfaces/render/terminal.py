@@ -136,24 +136,17 @@ def _parts(table: Table, measured: Sequence[_Sized], width: int) -> list[_Piece]
         if whole is not None:
             return [whole]
     names = _names(table, measured, width)
-    if _fitted(names, measured, width, _TIGHT) is None:
-        return None
+    part = _fitted(names, measured, width, _TIGHT)
     parts: list[_Piece] = []
-    here = names
     for place in every[len(names) :]:
-        if _fitted((*here, place), measured, width, _TIGHT) is None:
-            parts.append(_must_fit(here, measured, width))
-            here = names
-        here = (*here, place)
-        if _fitted(here, measured, width, _TIGHT) is None:
+        if part is None:
             return None
-    return [*parts, _must_fit(here, measured, width)]
-
-
-def _must_fit(places: tuple[int, ...], measured: Sequence[_Sized], width: int) -> _Piece:
-    part = _fitted(places, measured, width, _TIGHT)
-    assert part is not None
-    return part
+        wider = _fitted((*part.places, place), measured, width, _TIGHT)
+        if wider is None:
+            parts.append(part)
+            wider = _fitted((*names, place), measured, width, _TIGHT)
+        part = wider
+    return None if part is None else [*parts, part]
 
 
 def _names(table: Table, measured: Sequence[_Sized], width: int) -> tuple[int, ...]:

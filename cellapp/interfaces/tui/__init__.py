@@ -41,5 +41,5 @@ def run_app() -> int:
     app = CellApp(Path("profiles"), ends_process=True)
     app.passes.watch()
     app.run()
-    app.wait_for_job()
+    app.leaving.wait_for_job()
     return app.return_code or 0

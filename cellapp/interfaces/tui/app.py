@@ -21,8 +21,7 @@ import contextlib
 import gc
 import importlib
 import time
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import suppress
+from collections.abc import Iterable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import ClassVar
@@ -30,11 +29,11 @@ from typing import ClassVar
 from rich.console import RenderableType
 from rich.text import Text
 from textual import on, work
-from textual.app import ScreenStackError, SystemCommand
+from textual.app import SystemCommand
 from textual.binding import Binding, BindingType
 from textual.css.query import NoMatches
 from textual.driver import Driver
-from textual.screen import ModalScreen, Screen
+from textual.screen import Screen
 from textual.theme import Theme
 
 from cellapp.commands.docs.keys import KEYS, SHOWN
@@ -44,10 +43,11 @@ from cellapp.interfaces.tui import verb_jobs as jobs_of_verbs
 from cellapp.interfaces.tui.confirmations import QuitQuestion, offer_at_rest, offer_to_quit, offer_whole_day
 from cellapp.interfaces.tui.dialogs.program import MotionQuestion, Palette, possible_commands
 from cellapp.interfaces.tui.dialogs.question import Reading
-from cellapp.interfaces.tui.host import Host, LastRunRead, LeaveAsked, Severity, StopGiven, WorkspaceLoaded
-from cellapp.interfaces.tui.job_outcome import ENDED, LEFT, UNEXPECTED, Leaving, ending_of, left_behind
+from cellapp.interfaces.tui.host import Host, Severity, StopGiven
+from cellapp.interfaces.tui.job_outcome import UNEXPECTED, ending_of, left_behind
 from cellapp.interfaces.tui.jobs import JobEnded, MotionAsked
 from cellapp.interfaces.tui.keys import bind, key_table, with_keys
+from cellapp.interfaces.tui.leaving import ENDED, LEFT
 from cellapp.interfaces.tui.live_run import LOOK_EVERY_S, Detached, JobsOfOthers
 from cellapp.interfaces.tui.run_state import next_step
 from cellapp.interfaces.tui.screens import SCREENS
@@ -55,8 +55,7 @@ from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.terminal import driver_that_stops
 from cellapp.interfaces.tui.widgets.arm_panel import LiveStrip
 from cellapp.interfaces.tui.widgets.controls import Line
-from cellapp.interfaces.tui.widgets.header import StepTab
-from cellapp.interfaces.tui.workspace import Step, holds_run, last_run, load_workspace
+from cellapp.interfaces.tui.workspace import Step, Workspace, holds_run, last_run, load_workspace
 
 _RESUMES = f"{SHOWN['pause']} or {SHOWN['resume']}"
 _RESUME_WHEN_CLEAR = f"{SHOWN['resume']}: resume when the cell is clear"
@@ -65,15 +64,6 @@ _AFTER_A_STOP = f"{_RESUME_WHEN_CLEAR}; {SHOWN['abort']}: abort."
 
 class JobKeys(Host):
     """An application whose keys reach the brakes before anything is drawn."""
-
-    @property
-    def escape_closes(self) -> bool:
-        """Whether Escape closes a dialog: there is one, and nothing can move."""
-        if self.jobs.moves or not self.jobs.running:
-            return False  # stop first, or nothing to stop: Escape closes by itself
-        with suppress(ScreenStackError):  # called by the thread that reads keys, also while screens are removed
-            return isinstance(self.screen, ModalScreen)
-        return False
 
     def action_stop_job(self) -> None:
         """Brake all arms now (Ctrl-C), whatever is open."""
@@ -277,9 +267,8 @@ class CellApp(JobKeys):
     def __init__(
         self, profiles: Path, logs: Path = Path("logs"), patience_s: float = 60.0, *, ends_process: bool = False
     ) -> None:
-        super().__init__(profiles, logs)
+        super().__init__(profiles, logs, patience_s, ends_process=ends_process)
         self.passes = SlowCollections()
-        self.leaving = Leaving(self, ends_process=ends_process)
         self.others = JobsOfOthers(self)
         self.message = ""
         self._severity: Severity = "information"
@@ -287,28 +276,13 @@ class CellApp(JobKeys):
         self._commands: list[SystemCommand] = []
         self._drawn = -1
         self._loads = 0
-        self._patience_s = patience_s
         self._leaving = False
-        self._ended: str | None = None
-
-    def close_terminal(self) -> None:
-        """Leave because the terminal is gone; from any thread."""
-        self.leaving.close_terminal()
-
-    def end_if_stalled(self) -> None:
-        """End the process if the terminal takes nothing any more; from any thread."""
-        self.leaving.end_if_stalled(LEFT)
+        self._ended = False
 
     def exit(self, result: None = None, return_code: int = 0, message: RenderableType | None = None) -> None:
         """Leave the screen, or end the process if the terminal does not let go of it."""
         self.leaving.end_if_stalled(LEFT, until_ended=True)
         super().exit(result, return_code, message)
-
-    @contextlib.contextmanager
-    def lend_terminal(self) -> Iterator[None]:
-        """Let another program have the terminal."""
-        with self.suspend(), self.leaving.lent():
-            yield
 
     def get_driver_class(self) -> type[Driver]:
         """Return the driver that stops before the event loop gets a key, if this system has one."""
@@ -345,17 +319,12 @@ class CellApp(JobKeys):
         gc.collect()
         gc.freeze()  # exempt loaded objects from collection: scanning them held up keys for up to 0.3 s
         if self.last_run is not None:
-            self.post_message(LastRunRead(jobs_of_verbs.words_of_run(self.last_run)))
+            self.call_later(self.say_last_run, jobs_of_verbs.words_of_run(self.last_run))
 
     def on_unmount(self) -> None:
         """Brake all arms and end the job, however the screen closes: no job continues unseen."""
         self.jobs.control.leave(ENDED)
         self.leaving.close()
-
-    def wait_for_job(self) -> None:
-        """Wait, with a time limit, until an abandoned job has brought its arms to rest."""
-        if self.jobs.running:
-            self.jobs.wait(self._patience_s)
 
     async def action_leave(self) -> None:
         """Quit, also over a dialog."""
@@ -367,9 +336,8 @@ class CellApp(JobKeys):
             if not self._leaving and not isinstance(self.screen, QuitQuestion):
                 offer_to_quit(self, self._leave)
         else:
-            self.exit(return_code=self.code)
+            self.exit(return_code=self.jobs.code)
 
-    @on(LeaveAsked)
     def leave_at_once(self) -> None:
         """Quit as if the question had been answered with yes."""
         self._leave(True)
@@ -379,18 +347,18 @@ class CellApp(JobKeys):
         if not leave:
             return
         if not self.jobs.running:
-            self.exit(return_code=self.code)
+            self.exit(return_code=self.jobs.code)
             return
         self._leaving = True
         self.jobs.control.leave(LEFT)
         self._refuse_motion()
         if not self.jobs.watched:
-            self.say(f"Stopping, then quitting (waiting at most {self._patience_s:.0f} s).", "warning")
-        self.set_timer(self._patience_s, self._quit_without_job)
+            self.say(f"Stopping, then quitting (waiting at most {self.leaving.patience_s:.0f} s).", "warning")
+        self.set_timer(self.leaving.patience_s, self._quit_without_job)
 
     def _quit_without_job(self) -> None:
         if self.jobs.running:
-            self.exit(return_code=UNEXPECTED, message=Text(left_behind(self.record.name, self._patience_s)))
+            self.exit(return_code=UNEXPECTED, message=Text(left_behind(self.record.name, self.leaving.patience_s)))
 
     # -- screens -------------------------------------------------------------------------------------------------------
 
@@ -418,11 +386,6 @@ class CellApp(JobKeys):
         if step != self.day_screen.STEP:
             self._drawn = -1
             self.switch_screen(self._screen_of(step))
-
-    @on(StepTab.Chosen)
-    def show_chosen(self, event: StepTab.Chosen) -> None:
-        """Show the screen of a step that was clicked."""
-        self.action_show(event.step)
 
     def action_next_step(self) -> None:
         """Show the screen of the next step; if it is shown, begin that step."""
@@ -492,10 +455,9 @@ class CellApp(JobKeys):
         """Open a profile without a run."""
         self._load(path, None)
 
-    @on(LastRunRead)
-    def say_last_run(self, event: LastRunRead) -> None:
+    def say_last_run(self, words: str) -> None:
         """Say more of the last run, in the line that names it."""
-        self.waits = event.words
+        self.waits = words
         self.draw_all()
 
     def open_run(self, folder: Path, profile_path: Path | None = None) -> None:
@@ -522,30 +484,25 @@ class CellApp(JobKeys):
     def _read(self, profile_path: Path | None, folder: Path | None, number: int) -> None:
         loaded = load_workspace(profile_path, folder)
         if number == self._loads:  # else something else was opened meanwhile
-            self.post_message(WorkspaceLoaded(loaded))
+            self.call_later(self.show_loaded, loaded)
             self.others.find(folder)
 
-    @on(WorkspaceLoaded)
-    def show_loaded(self, event: WorkspaceLoaded) -> None:
+    def show_loaded(self, now: Workspace) -> None:
         """Draw the workspace that was read."""
-        before, now = self.workspace, event.workspace
+        before = self.workspace
         if self._hides_moving_arms(now.folder):
             return  # it was requested before the job began, whose run is read at its end
         self.workspace, self.reading = now, ""
-        ended, self._ended = self._ended, None
-        title = next(entry.title for entry in SCREENS if entry.step == next_step(now))
+        ended, self._ended = self._ended, False
+        opened = now.profile_path if now.folder is None and now.profile_path != before.profile_path else None
         if now.problem:
             self.say(now.problem, "error")
         elif now.edited and not (before.edited and before.folder == now.folder):
             self.say("The profile was edited after this run was planned; the run keeps its own copy.", "warning")
-        elif ended is None and now.folder not in (None, before.folder):
-            then = f"in use by {now.in_use}" if now.in_use else f"next: {title} (key n)"
-            self.say(f"{now.folder} is open; {then}.")
-        elif ended is None and now.folder is None and now.profile_path not in (None, before.profile_path):
-            if str(now.profile_path) not in self.message:  # it was written just now, and the message says so
-                self.message, self._severity = f"{now.profile_path} is open; {_ONWARD}.", "information"  # not logged
-        elif ended and ended == self.message and now.folder is not None:
-            self.message = f"{ended} Next: {title} (key n)."
+        elif not ended and now.folder not in (None, before.folder):
+            self.say(f"{now.folder} is open" + (f"; in use by {now.in_use}." if now.in_use else "."))
+        elif not ended and opened is not None and str(opened) not in self.message:  # a message names what was written
+            self.message, self._severity = f"{opened} is open; {_ONWARD}.", "information"  # not logged
         self.draw_all()
 
     # -- the job -------------------------------------------------------------------------------------------------------
@@ -561,17 +518,17 @@ class CellApp(JobKeys):
             self.record.add(event)
         self.jobs.ended()
         self.record.end()
-        ending = ending_of(message, self.record.latest)
-        self.code = ending.code
-        self._ended = ending.text if ending.code == 0 else ""
-        self.say(ending.text, ending.severity)
+        text, severity, self.jobs.code = ending_of(message, self.record.latest)
+        self._ended = True
+        self.say(text, severity)
         self.bell()  # for somebody who does not look
         if self._leaving:  # the shell keeps the text that the screen can no longer show
-            self.exit(return_code=self.code, message=Text(ending.text))
+            self.exit(return_code=self.jobs.code, message=Text(text))
             return
         if not isinstance(message.ending, BaseException | None):
-            for screen in dict.fromkeys((self.asked_by or self.day_screen, self.day_screen)):
-                screen.show_result(message.ending)
+            shown = self.day_screen.show_result
+            for show in dict.fromkeys((self.shows_result or shown, shown)):
+                show(message.ending, message.view)
         if isinstance(message.ending, Detached):
             return  # something else is open now
         folder = message.job.folder or self.workspace.folder
@@ -601,8 +558,7 @@ class CellApp(JobKeys):
             self._draw_message()
             if (screen := self._made_screen) is not None:
                 screen.show_workspace(self.workspace)
-                screen.draw_state()
-                screen.show_job(self.record)
+        self._draw_job()
         self.refresh_bindings()
 
     def _draw_message(self) -> None:

@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import TYPE_CHECKING
 
-from cellapp.commands.record import Request, Verb
+from cellapp.commands.record import Verb
 from cellapp.commands.registry import records
 from cellapp.interfaces.tui import verb_jobs
-from cellapp.interfaces.tui.dialogs.question import BEGIN, Choice, ChosenAnswer, reading_of
+from cellapp.interfaces.tui.dialogs.question import BEGIN, Choice, ChosenAnswer
 from cellapp.interfaces.tui.host import Host
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.workspace import Workspace, new_folder
 
 if TYPE_CHECKING:
-    from cellapp.ground.results import Result, StageName
+    from cellapp.ground.results import StageName
     from cellapp.interfaces.tui.jobs import Job
-
-READING_WIDTH = 66
-"""Characters per line of a text that fits into the narrowest terminal."""
 
 
 def offer_again(screen: DayScreen, title: str, stage: StageName, job: Job) -> None:
@@ -52,20 +49,6 @@ def offer_whole_day(app: Host) -> None:
     app.push_screen(Choice("Everything, unattended?", text, BEGIN), begin)
 
 
-class _VerbView:
-    """Shows the result of a verb that was started from the palette, with the verb's view."""
-
-    def __init__(self, app: Host, verb: Verb) -> None:
-        self._app, self._verb = app, verb
-
-    def show_result(self, result: Result) -> None:
-        """Show the result as a text."""
-        from cellapp.interfaces.render.terminal import plain_text  # late: results are shown after the start
-
-        text = plain_text(self._verb.view(result).parts, READING_WIDTH)
-        self._app.push_screen(reading_of(self._verb.name, [text]))
-
-
 def verbs_of_run() -> tuple[Verb, ...]:
     """Return the verbs that work on a run and whose other required fields a dialog can ask for."""
     return tuple(
@@ -77,30 +60,13 @@ def verbs_of_run() -> tuple[Verb, ...]:
 
 
 def offer_verb(screen: DayScreen, verb: Verb) -> None:
-    """Ask for the request of any verb on the open run, then run it and show its view."""
-    folder = screen.open_folder()
-    if folder is not None:
-        _offer(screen, verb, {"folder": folder})
-
-
-def offer_verb_of_profile(screen: DayScreen, verb: Verb) -> None:
-    """Ask for the request of a verb on the open profile, then run it and show its view."""
-    profile = screen.workspace.profile_path
-    if profile is None:
+    """Ask for the request of any verb on the open run, or on the open profile, then run it and show its view."""
+    path = screen.open_folder() if verb.opens_run else screen.workspace.profile_path
+    if path is not None:
+        given = {"folder" if verb.opens_run else "profile": path}
+        screen.ask_verb(verb, verb.summary, given, shows_result=screen.read_result)
+    elif not verb.opens_run:
         screen.say(screen.state.no_profile, "warning")
-    else:
-        _offer(screen, verb, {"profile": profile})
-
-
-def _offer(screen: DayScreen, verb: Verb, given: Mapping[str, Any]) -> None:
-    """Ask for the fields of a verb's request that are not ``given``, then run it and show its view."""
-    app = screen.cell_app
-
-    def begin(request: Request | None) -> None:
-        if request is not None and app.start_job(verb_jobs.verb_job(verb, request)):
-            app.asked_by = _VerbView(app, verb)
-
-    app.push_screen(screen.question_of(verb, verb.summary, given), begin)
 
 
 class QuitQuestion(Choice):

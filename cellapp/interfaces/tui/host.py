@@ -1,35 +1,36 @@
 """Interface of the application for screens, dialogs and widgets; they know nothing else of it.
 
-Messages that other threads send to the application.
+Presses of STOP that brake before the event loop gets them.
 """
 
 from __future__ import annotations
 
 import time
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Protocol
+from typing import TYPE_CHECKING, Literal
 
-from textual.app import App
+from textual.app import App, ScreenStackError
 from textual.geometry import Region
 from textual.message import Message
+from textual.screen import ModalScreen
 
 from cellapp.interfaces.tui.job_record import JobRecord
 from cellapp.interfaces.tui.jobs import Job, JobRunner
+from cellapp.interfaces.tui.leaving import Leaving
 from cellapp.interfaces.tui.run_state import RunState, run_state
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
 if TYPE_CHECKING:
+    from cellapp.commands.record import View
     from cellapp.ground.progress import CellLive
     from cellapp.ground.results import Result
 
 
 Severity = Literal["information", "warning", "error"]
 """Severity of a sentence, with Textual's words."""
-
-
-class LeaveAsked(Message):
-    """The terminal was closed, or the system ends this program."""
 
 
 class StopGiven(Message):
@@ -40,27 +41,8 @@ class StopGiven(Message):
         self.arms = arms
 
 
-class WorkspaceLoaded(Message):
-    """Profile and run were read."""
-
-    def __init__(self, workspace: Workspace) -> None:
-        super().__init__()
-        self.workspace = workspace
-
-
-class LastRunRead(Message):
-    """What is known of the last run, in words."""
-
-    def __init__(self, words: str) -> None:
-        super().__init__()
-        self.words = words
-
-
-class ShowsResults(Protocol):
-    """A screen that draws the result of a job that it started."""
-
-    def show_result(self, result: Result) -> None:
-        """Draw the result."""
+ShowsResult = Callable[["Result", "View"], None]
+"""Draws the result of a job, which is also given as a view."""
 
 
 class Host(App[None]):
@@ -70,10 +52,9 @@ class Host(App[None]):
     ----------
     profiles, logs : Path
         Folder whose ``*.yaml`` are offered; folder of the runs.
-    asked_by : ShowsResults or None
-        The screen that started the current job; it gets the result, whichever screen is shown then.
-    code : int
-        Exit code of the last job.
+    shows_result : callable or None
+        Draws the result of the current job, as the screen that started it, whichever screen is shown then.
+    leaving : Leaving
     last_run : Path or None
         The run that was changed last when the application began.
     waits : str
@@ -82,15 +63,16 @@ class Host(App[None]):
         Sentence that the first profile, or the result of the last job, is being read; empty when it is read.
     """
 
-    def __init__(self, profiles: Path, logs: Path) -> None:
+    def __init__(self, profiles: Path, logs: Path, patience_s: float, *, ends_process: bool) -> None:
         super().__init__()
         self.profiles, self.logs = profiles, logs
         self.workspace = Workspace()
         self.record = JobRecord()
         self.jobs = JobRunner(self.post_message)
         self.presses = StopPresses(self.jobs)
-        self.asked_by: ShowsResults | None = None
-        self.code = 0
+        leave = partial(self.call_later, self.leave_at_once)
+        self.leaving = Leaving(self.jobs, leave, patience_s, ends_process=ends_process)
+        self.shows_result: ShowsResult | None = None
         self.last_run: Path | None = None
         self.waits = self.reading = ""
         self._state: tuple[tuple[object, ...], RunState] | None = None
@@ -103,14 +85,14 @@ class Host(App[None]):
             self._state = known, run_state(self.workspace, self.record, self.jobs.job, self.waits, self.reading)
         return self._state[1]
 
-    def start_job(self, job: Job, cell: Workspace | None = None) -> bool:
+    def start_job(self, job: Job, cell: Workspace | None = None, shows_result: ShowsResult | None = None) -> bool:
         """Start a job; ``cell`` is its workspace if not the open one. Return whether it was started."""
         if self.jobs.running:
             self.say(f"'{self.record.name}' is still running; stop it or wait for its end.", "warning")
             return False
-        self.asked_by = None
+        self.shows_result = shows_result
         self.workspace = cell or self.workspace
-        self.record.begin(job.name, part="" if job.verb is None else job.verb.name)
+        self.record.begin(job.name, "" if job.verb is None else job.verb.name)
         self.say(f"{job.name}: started" + ("" if job.folder is None else f" in {job.folder}"))
         self.jobs.start(job)
         self.draw_all()
@@ -118,8 +100,18 @@ class Host(App[None]):
 
     @property
     def escape_closes(self) -> bool:
-        """Whether Escape closes a dialog; otherwise it stops a job."""
+        """Whether Escape closes a dialog: there is one, and nothing can move."""
+        if self.jobs.moves or not self.jobs.running:
+            return False  # stop first, or nothing to stop: Escape closes by itself
+        with suppress(ScreenStackError):  # called by the thread that reads keys, also while screens are removed
+            return isinstance(self.screen, ModalScreen)
         return False
+
+    @contextmanager
+    def lend_terminal(self) -> Iterator[None]:
+        """Let another program have the terminal; ``SuspendNotSupported`` where that cannot be."""
+        with self.suspend(), self.leaving.lent():
+            yield
 
     def live(self) -> CellLive | None:
         """Return what is known now of the cell that the current job has open; None without one."""
@@ -131,10 +123,6 @@ class Host(App[None]):
 
     def open_run(self, folder: Path, profile_path: Path | None = None) -> None:
         """Open a run; its own profile is used."""
-        raise NotImplementedError
-
-    def lend_terminal(self) -> AbstractContextManager[None]:
-        """Return a context in which another program has the terminal; ``SuspendNotSupported`` where that cannot be."""
         raise NotImplementedError
 
     def action_show(self, step: Step) -> None:
@@ -153,16 +141,8 @@ class Host(App[None]):
         """Redraw the whole screen."""
         raise NotImplementedError
 
-    def wait_for_job(self) -> None:
-        """Wait, with a time limit, until an abandoned job has brought its arms to rest."""
-        raise NotImplementedError
-
-    def end_if_stalled(self) -> None:
-        """End the process if the terminal takes nothing any more; from any thread."""
-        raise NotImplementedError
-
-    def close_terminal(self) -> None:
-        """Leave because the terminal is gone; from any thread."""
+    def leave_at_once(self) -> None:
+        """Quit as if the question had been answered with yes."""
         raise NotImplementedError
 
 

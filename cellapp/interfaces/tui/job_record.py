@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from itertools import islice
@@ -49,23 +49,6 @@ _WORST_FIRST: tuple[HaltState, ...] = ("not seen at rest", "asked", "braking", "
 _TREAT_AS_MOVING = "treat it as moving: emergency stop, then look"
 
 
-@dataclass(frozen=True)
-class JobPart:
-    """A part of the live strip, and how old its data are."""
-
-    text: str
-    look: Look
-
-
-@dataclass(frozen=True)
-class Banner:
-    """Progress of the halt in words that begin with the state; its causes; whether an arm counts as moving."""
-
-    words: str
-    causes: tuple[str, ...]
-    alarm: bool
-
-
 def look_of(age_s: float | None) -> Look:
     """Return how data of an age are displayed; None means no data."""
     if age_s is None or age_s > LOST_S:
@@ -88,21 +71,22 @@ def halt_of(arm: ArmLive) -> HaltState | None:
     return "not seen at rest" if unknown else arm.halt.state
 
 
-def strip_of(live: CellLive) -> list[JobPart]:
-    """Return each arm, the tracker and the job with the age of their data."""
-    parts = []
+def strip_of(live: CellLive) -> list[tuple[str, Look]]:
+    """Return each arm, the tracker and the job in words with the age of their data, and how these are displayed."""
+    parts: list[tuple[str, Look]] = []
     for name, arm in live.arms.items():
         halt, look = halt_of(arm), look_of(arm.age_s)
         doing = HALT_WORDS[halt] if halt else "no state" if look == "lost" else "moves" if arm.moving else "rests"
-        parts.append(JobPart(f"{name} {doing} {age_words(arm.age_s)}", "lost" if halt == "not seen at rest" else look))
-    parts.append(JobPart(f"tracker {age_words(live.tracker_age_s)}", look_of(live.tracker_age_s)))
-    return [*parts, JobPart(f"job {age_words(live.job_age_s)}", look_of(live.job_age_s))]
+        parts.append((f"{name} {doing} {age_words(arm.age_s)}", "lost" if halt == "not seen at rest" else look))
+    ages = (("tracker", live.tracker_age_s), ("job", live.job_age_s))
+    return [*parts, *((f"{name} {age_words(age_s)}", look_of(age_s)) for name, age_s in ages)]
 
 
-def banner_of(live: CellLive | None, unseen: Mapping[str, str]) -> Banner | None:
+def banner_of(live: CellLive | None, unseen: Mapping[str, str]) -> tuple[str, Sequence[str], bool] | None:
     """Return the banner of a halt or of missing data; None if there is neither.
 
-    ``unseen`` are the arms that the open run counts as moving, arm -> why.
+    The banner is words that begin with the state, its causes, and whether an arm counts as moving. ``unseen`` are the
+    arms that the open run counts as moving, arm -> why.
     """
     halts = {} if live is None else {name: halt_of(arm) for name, arm in live.arms.items()}
     state = next((state for state in _WORST_FIRST if state in halts.values()), None)
@@ -111,13 +95,13 @@ def banner_of(live: CellLive | None, unseen: Mapping[str, str]) -> Banner | None
     causes = () if live is None else live.causes
     if names:
         arms = f"arm{'s' if len(names) > 1 else ''} {', '.join(names)}"
-        return Banner(f"NOT SEEN AT REST: {arms}; {_TREAT_AS_MOVING}", causes or tuple(unseen.values()), True)
+        return f"NOT SEEN AT REST: {arms}; {_TREAT_AS_MOVING}", causes or [*unseen.values()], True
     if state is not None:
         words = {"asked": "STOP ASKED", "braking": "ARMS BRAKE", "at rest": "AT REST: all arms were seen at rest"}
-        return Banner(words[state], causes, False)
+        return words[state], causes, False
     lost = [] if live is None else without_data(live)
     if lost:
-        return Banner(f"NO DATA from {', '.join(lost)}: what is shown of it is old", (), True)
+        return f"NO DATA from {', '.join(lost)}: what is shown of it is old", (), True
     return None
 
 
@@ -217,8 +201,6 @@ class JobRecord:
     ----------
     name : str
         What was started, in a word or two; empty before the first job.
-    watched : bool
-        Whether another process runs it.
     part : str
         Name in its events for what people call ``name``: a push that measures is a verification.
     state : JobState or None
@@ -234,8 +216,8 @@ class JobRecord:
     arms : dict
         Arm -> its newest known state.
     tracker : TrackerRecord
-    stops : dict
-        Arm -> reports of its stops, oldest first.
+    stops : list
+        Reports of the stops of all arms, oldest first.
     references : list
         Reports of reference measurements, oldest first.
     suspicions : list
@@ -255,14 +237,13 @@ class JobRecord:
     name: str = ""
     state: JobState | None = None
     reason: str = ""
-    watched: bool = False
     part: str = ""
     since: datetime = field(default_factory=datetime.now)
     heard_s: dict[str, float] = field(default_factory=dict)
     progress: dict[str, Progress] = field(default_factory=dict)
     arms: dict[str, ArmRecord] = field(default_factory=dict)
     tracker: TrackerRecord = field(default_factory=TrackerRecord)
-    stops: dict[str, list[StopReport]] = field(default_factory=dict)
+    stops: list[StopReport] = field(default_factory=list)
     references: list[ReferenceReport] = field(default_factory=list)
     suspicions: list[Suspicion] = field(default_factory=list)
     log: deque[LogRow] = field(default_factory=lambda: deque(maxlen=MOST_LINES))
@@ -281,10 +262,9 @@ class JobRecord:
         count = min(self.log_written - written, len(self.log))
         return list(islice(reversed(self.log), count))[::-1]
 
-    def begin(self, name: str, *, watched: bool = False, part: str = "") -> None:
+    def begin(self, name: str, part: str = "") -> None:
         """Reset for a new job, but keep the log. Events of ``part`` are stored under the job's own name."""
-        self.watched, self.part = watched, part
-        self.name, self.state, self.reason, self.tracker = name, "running", "", TrackerRecord()
+        self.name, self.part, self.state, self.reason, self.tracker = name, part, "running", "", TrackerRecord()
         self.since = datetime.now()
         for kept in (self.progress, self.heard_s, self.arms, self.stops, self.references, self.suspicions):
             kept.clear()
@@ -330,19 +310,28 @@ class JobRecord:
             self.progress[event.job] = event
         self.changes += 1
         if event.detail is not None:
-            self._take(event.detail)
-            self._log_detail(event.job, event.detail)
+            self._take(event.job, event.detail)
 
     # -- details -------------------------------------------------------------------------------------------------------
 
-    def _take(self, detail: Detail) -> None:
+    def _take(self, job: str, detail: Detail) -> None:
+        """Process a detail; write a line into the log where the job itself writes none."""
         match detail:
-            case StateChange():
+            case LogReport(level, text):
+                self.note(text, level_of(level))
+            case Notice(text):
+                self.note(f"{job}: {text}")
+            case StateChange(state, reason):
                 self._change_state(detail)
-            case Suspicion():
+                self.note(f"{job}: {state.upper()}: {reason}", "info" if state == "running" else "warning")
+            case Suspicion(kind, text):
                 self.suspicions.append(detail)
-            case ReferenceReport():
+                self.note(f"{job}: SUSPICION: {kind}: {text}", "warning")
+            case ReferenceReport(drift_mm, limit_mm):
                 self.references.append(detail)
+                drifts = ", ".join(f"{name} {drift:.3f}" for name, drift in drift_mm.items())
+                words = f"{job}: reference: {drifts} mm from the first measurement, limit {limit_mm:.3f} mm"
+                self.note(words, "info" if within_limit(detail) else "warning")
             case SweepLive():
                 live = None if detail.state == "done" else detail
                 self.tracker = replace(self.tracker, arm=detail.arm, sweep=live)
@@ -372,7 +361,7 @@ class JobRecord:
         name, arm = detail.arm, self._arm(detail.arm)
         match detail:
             case StopReport():
-                self.stops.setdefault(name, []).append(detail)
+                self.stops.append(detail)
                 self.arms[name] = replace(arm, report=detail)
             case MeasurementBegun(stop=stop):
                 self.arms[name] = replace(arm, activity="measuring", stop=stop)
@@ -406,22 +395,6 @@ class JobRecord:
             if arm.activity in ("moving", "settling", "measuring", "stopped", "asked", "braking", "at rest"):
                 self.arms[name] = replace(arm, activity=activity, expected_s=None)
         self.tracker = replace(self.tracker, measuring=False, sweep=None)
-
-    def _log_detail(self, job: str, detail: Detail) -> None:
-        """Log a detail for which the job itself writes no line."""
-        match detail:
-            case LogReport(level, text):
-                self.note(text, level_of(level))
-            case StateChange(state, reason):
-                self.note(f"{job}: {state.upper()}: {reason}", "info" if state == "running" else "warning")
-            case Suspicion(kind, text):
-                self.note(f"{job}: SUSPICION: {kind}: {text}", "warning")
-            case Notice(text):
-                self.note(f"{job}: {text}")
-            case ReferenceReport(drift_mm, limit_mm):
-                drifts = ", ".join(f"{name} {drift:.3f}" for name, drift in drift_mm.items())
-                words = f"{job}: reference: {drifts} mm from the first measurement, limit {limit_mm:.3f} mm"
-                self.note(words, "info" if within_limit(detail) else "warning")
 
 
 def within_limit(report: ReferenceReport) -> bool:

@@ -12,7 +12,6 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, TypeVar
 
 from textual.message import Message
@@ -94,6 +93,11 @@ class JobRunner:
     ----------
     post : callable
         Passes messages from any thread to the screens.
+
+    Attributes
+    ----------
+    code : int
+        Exit code of the last job.
     """
 
     def __init__(self, post: Callable[[Message], object]) -> None:
@@ -102,6 +106,7 @@ class JobRunner:
         self._thread: threading.Thread | None = None
         self.control = JobControl(holds=True)
         self.job: Job | None = None
+        self.code = 0
 
     @property
     def running(self) -> bool:
@@ -165,15 +170,12 @@ class JobRunner:
                     return answers.get(timeout=_ANSWER_S)
             return False
 
-        def report_failure(
-            kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-        ) -> bool:
-            if error is not None:
-                self._post(JobEnded(job, error))
-            return True
-
-        with contextlib.ExitStack() as stack:
-            stack.push(report_failure)  # report to the screens whatever ends the job
-            stack.enter_context(control.heard_by(lambda event, before: self._events.append(event)))
-            result = job.work(control, ask)
-            self._post(JobEnded(job, result, None if result is None else job.view(result)))
+        ending: Result | BaseException | None
+        view = None
+        try:
+            with control.heard_by(lambda event, before: self._events.append(event)):
+                ending = job.work(control, ask)
+                view = None if ending is None else job.view(ending)
+        except BaseException as error:  # noqa: BLE001 - the screens are told whatever ends the job
+            ending = error
+        self._post(JobEnded(job, ending, view))

@@ -166,9 +166,8 @@ class JobsOfOthers:
         if app.jobs.running or folder != app.workspace.folder:
             return
         control = OthersControl(app, folder, address.process, seen)
-
-        app.asked_by = None
-        app.record.begin(seen.name, watched=True)
+        app.shows_result = None
+        app.record.begin(seen.name)
         app.jobs.start(Job(seen.name, lambda _, ask: control.follow(), folder, process=address.process), control)
         app.say(
             f"Process {address.process} runs '{seen.name}' in {folder}: its state is shown, nothing can be changed."

@@ -264,8 +264,6 @@ DOT_ROWS, DOT_COLUMNS = 4, 2
 Dots = NDArray[np.bool_]
 Characters = NDArray[np.str_]
 
-_KEPT = 4
-"""Number of points that are kept per column of dots."""
 _FIRST_BRAILLE = 0x2800
 _WEIGHTS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]], dtype=np.uint32)
 """Bit of each dot of a braille character (Unicode, block U+2800)."""
@@ -300,7 +298,6 @@ def set_points(dots: Dots, column: Array, row: Array) -> None:
 
 def set_line(dots: Dots, column: Array, row: Array) -> None:
     """Join positions (n,) in dots by straight lines; NaN is a gap."""
-    column, row = thinned(column, row)
     set_points(dots, column, row)
     ends = np.isfinite(column) & np.isfinite(row)
     first = np.flatnonzero(ends[:-1] & ends[1:])
@@ -309,15 +306,3 @@ def set_line(dots: Dots, column: Array, row: Array) -> None:
     segment = np.repeat(np.arange(len(first)), count)
     share = (np.arange(len(segment)) - np.repeat(np.cumsum(count) - count, count)) / count[segment]
     set_points(dots, column[first][segment] + share * across[segment], row[first][segment] + share * down[segment])
-
-
-def thinned(column: Array, row: Array) -> tuple[Array, Array]:
-    """Keep the first, lowest, highest and last of the positions in each column of dots: the line looks the same."""
-    place = np.where(np.isfinite(column) & np.isfinite(row), np.rint(column), np.nan)
-    new = ~((np.diff(place) == 0.0) | (np.isnan(place[1:]) & np.isnan(place[:-1])))
-    begin = np.flatnonzero(np.append(True, new)) if len(column) else np.zeros(0, dtype=np.intp)
-    if _KEPT * len(begin) >= len(column):
-        return column, row
-    end = np.append(begin[1:], len(column)) - 1
-    low, high = np.minimum.reduceat(row, begin), np.maximum.reduceat(row, begin)
-    return np.repeat(place[begin], _KEPT), np.column_stack([row[begin], low, high, row[end]]).ravel()

@@ -125,10 +125,6 @@ def _concluded(workspace: Workspace) -> dict[Step, Mark]:
     return {step: Mark(one.kind, one.words) for step, several in found.items() if (one := worst(several)) is not None}
 
 
-Stored = Literal["no cell", "broken", "no run", "no plan", "planned", "part", "complete", "calibrated"]
-"""Content of the run file: the most advanced state that applies."""
-
-
 @dataclass(frozen=True)
 class JobNow:
     """The current job: its name, state and folder, and the number of stops that it has measured.
@@ -156,8 +152,6 @@ class RunState:
 
     Attributes
     ----------
-    stored : str
-        What the run file contains.
     workspace : Workspace
         The profile and the run as they were read.
     planned, measured : int
@@ -173,7 +167,6 @@ class RunState:
         Step -> its mark.
     """
 
-    stored: Stored
     marks: Mapping[Step, Mark]
     workspace: Workspace
     planned: int
@@ -201,7 +194,7 @@ class RunState:
     @property
     def no_run(self) -> str:
         """Why there is no run to work on, and what to do; empty if a readable one is open."""
-        if self.workspace.folder is not None and self.stored not in ("no cell", "broken", "no run"):
+        if self.workspace.folder is not None and self.workspace.profile is not None:
             return ""
         if self.job is not None and self.job.folder is not None:
             return f"{self.job.folder} is being made: {self.job.words}."
@@ -209,7 +202,7 @@ class RunState:
             return self.reading
         if self.workspace.problem:
             return self.workspace.problem
-        if self.stored == "no cell":
+        if self.workspace.profile is None:
             return "No profile is open: choose one on the screen Cell (key 1)."
         return f"No run is open: plan one (keys 2, {SHOWN['go']}), or open one of all runs (key {SHOWN['runs']})."
 
@@ -221,7 +214,7 @@ class RunState:
     @property
     def not_calibrated(self) -> str:
         """Why there is no calibration; empty if there is one."""
-        if self.no_run or self.stored == "calibrated":
+        if self.no_run or self.workspace.stored("calibrate") is not None:
             return self.no_run
         return self.reading or f"Not calibrated yet: {self.measured_words}."
 
@@ -256,9 +249,7 @@ def run_state(
         todo = max(todo - max(job.stops - measured, 0), 0)
         measured = max(measured, job.stops)
     planned = len(stops) - len(reserves)
-    stored = _stored(workspace, planned, measured, todo)
     return RunState(
-        stored=stored,
         marks=marks_of(workspace, measured, planned, todo, job.step if here and job is not None else None),
         workspace=workspace,
         planned=planned,
@@ -277,24 +268,10 @@ def holds_for_drift(record: JobRecord) -> bool:
     return record.state == "stopped" and by_reference and (newest is None or not within_limit(newest))
 
 
-def _stored(workspace: Workspace, planned: int, measured: int, todo: int) -> Stored:
-    if workspace.profile is None:
-        return "broken" if workspace.problem else "no cell"
-    if workspace.folder is None:
-        return "broken" if workspace.problem else "no run"
-    if workspace.results is not None and workspace.results.calibrate is not None:
-        return "calibrated"
-    if not planned and not measured:
-        return "no plan"
-    if not measured:
-        return "planned"
-    return "part" if todo else "complete"
-
-
 def _job_now(record: JobRecord, running: Job | None) -> JobNow | None:
     if record.state is None:
         return None
-    verb = record.name.split(" ")[0]
+    verb, watched = record.name.split(" ")[0], running is not None and running.process is not None
     collected = record.progress.get("collect")
     part = record.latest.job if record.name == "run" and record.latest is not None else verb
     return JobNow(
@@ -302,7 +279,7 @@ def _job_now(record: JobRecord, running: Job | None) -> JobNow | None:
         record.state,
         None if running is None else running.folder,
         step_of(part),
-        record.watched,
+        watched,
         None if collected is None else collected.done,
-        running is None or running.moves or running.process is not None,
+        running is None or running.moves or watched,
     )

@@ -23,6 +23,7 @@ from textual.message import Message
 
 from cellapp.interfaces.tui.host import Host
 from cellapp.interfaces.tui.job_record import JobRecord
+from cellapp.interfaces.tui.leaving import LEFT
 from drivers.priority import run_first
 
 _POLL_S = 0.1
@@ -62,7 +63,7 @@ class UrgentDriver(LinuxDriver):
             if select.select([self.fileno], [], [], wait_s)[0]:
                 data = self._read()
                 if not data:
-                    cast(Host, self._app).close_terminal()
+                    cast(Host, self._app).leaving.close_terminal()
                     return
                 if self._pasting and data in _ALONE and time.monotonic() - read_s > _PASTE_RESTS_S:
                     self._parse(parser, BRACKETED_PASTE_END)
@@ -99,7 +100,7 @@ class UrgentDriver(LinuxDriver):
             given = cast(Host, self._app).presses.give()
             message = message if given is None else given
         if isinstance(message, events.Key) and message.key == "ctrl+q":
-            cast(Host, self._app).end_if_stalled()  # the event loop may wait for the terminal
+            cast(Host, self._app).leaving.end_if_stalled(LEFT)  # the event loop may wait for the terminal
         super().process_message(message)
 
     def _presses_stop(self, message: Message) -> bool:

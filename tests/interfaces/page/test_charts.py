@@ -10,45 +10,18 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from cellapp.cell.run import RunFile
 from cellapp.commands.calibrate.charts import scale_length_mm, vector_chart
-from cellapp.commands.calibrate.held_out import HeldOutArm
 from cellapp.commands.collect.charts import residual_drift_chart
 from cellapp.commands.discover.view import is_line
 from cellapp.commands.plan.charts import cell_map_chart, outlined_obstacles, surface_points
 from cellapp.commands.plan.result import PlannedStop
-from cellapp.commands.report.data import ReportData, read_report_data
 from cellapp.commands.view.charts import Axis, Chart, Kind, Limit, Series, series
 from cellapp.estimation.discovery.records import Picture
-from cellapp.ground.progress import StopReport
 from cellapp.interfaces.page.figures import chart_svg
 from cellapp.interfaces.render.chart import scale_of
 from tests.interfaces.page.cases import picture
 from tests.sure import sure
 from tests.twin import with_obstacles
-
-# -- collection -------------------------------------------------------------------------------------------------------
-
-
-def report(stop: int, arm: str, residual_mm: float, standard_error_mm: float = 0.1) -> StopReport:
-    return StopReport(stop, arm, residual_mm, standard_error_mm)
-
-
-# -- accuracy ---------------------------------------------------------------------------------------------------------
-
-
-# -- Charts of held-out errors over joints and in space, of a small calibrated run -------------------------------------
-
-
-@pytest.fixture
-def data(single: RunFile) -> ReportData:
-    return read_report_data(single)
-
-
-@pytest.fixture
-def held_out(data: ReportData) -> HeldOutArm:
-    return data.held_out["only"]
-
 
 HOME = np.radians([0.0, -90.0, 0.0, -90.0, 0.0, 0.0])
 
@@ -72,7 +45,7 @@ def test_a_mesh_is_drawn_as_its_hull_and_a_missing_one_is_left_out(tmp_path: Pat
         with_obstacles(f"guard: {{shape: mesh, file: {file}, scale: 0.001}}")
         for file in (tmp_path / "box.stl", "nowhere.stl")
     )
-    assert np.allclose(np.ptp(surface_points(mesh.obstacles["guard"]), axis=0), (1.0, 2.0, 3.0))
+    assert np.allclose(np.ptp(surface_points("guard", mesh.obstacles["guard"]), axis=0), (1.0, 2.0, 3.0))
     assert named(cell_map_chart(missing, stops()), "obstacles") is None
 
 

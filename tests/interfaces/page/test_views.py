@@ -63,7 +63,6 @@ from cellapp.estimation.uncertainty.records import UncertaintyParts
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import DiscoverySettings
 from cellapp.ground.results import CHECK, Estimate
-from cellapp.interfaces.page.figures import drawn_sections
 from cellapp.interfaces.page.page import template
 from cellapp.robot.effects import EFFECTS
 from tests.approved import assert_approved, text_of, without_digits
@@ -178,7 +177,7 @@ def test_the_page_and_the_overview_show_a_check(finished_copy: Path) -> None:
         data = read_report_data(run)
         (section,) = (one for one in report_sections(run, data) if one.key == "check")
     assert dict(out_of_date_lines(data))[CHECK].endswith("(arm left: zero of joint 3)")
-    drawn = template("sections/layout.html").module.folding(drawn_sections([section])[0])  # type: ignore[attr-defined]
+    drawn = template("sections/layout.html").module.folding(section)  # type: ignore[attr-defined]
     assert all(cell in drawn for cell in ("zero of joint 3", "0.2985", "0.0052", "mrad"))
     assert "&lt;b&gt;left" in drawn
     assert "<b>left" not in drawn

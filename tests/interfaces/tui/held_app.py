@@ -50,7 +50,7 @@ def main(file: str, *options: str) -> int:
     moving.file = Path(file)
     app = HeldApp(None if "--no-job" in options else moving)
     app.run()
-    app.wait_for_job()
+    app.leaving.wait_for_job()
     return app.return_code or 0
 
 

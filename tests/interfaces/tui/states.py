@@ -9,6 +9,8 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 
+from cellapp.commands.run_results import RunResults
+from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.ground.progress import JobState, Progress, StateChange
 from cellapp.interfaces.tui.job_record import JobRecord
 from cellapp.interfaces.tui.jobs import Job
@@ -84,7 +86,7 @@ def state_and_record(name: str) -> tuple[RunState, JobRecord]:
     workspace = replace(workspace, profile=workspace.profile or without.profile)
     record, running = JobRecord(), None
     if made.job is not None:
-        record.begin("collect", watched=made.watched)
+        record.begin("collect")
         for event in events(made.job):
             record.add(event)
         record.since = _NIGHT
@@ -111,17 +113,18 @@ def _calibrated(state: RunState, *, outdated: bool) -> RunState:
     marks = {**{step: replace(mark, is_next=False) for step, mark in state.marks.items()}, **done}
     after: Step = "calibrate" if outdated else "targets"
     marks[after] = replace(marks[after], kind=marks[after].kind if outdated else "next", is_next=True)
-    return replace(state, stored="calibrated", marks=marks)
+    calibrated = RunResults.model_construct(calibrate=CalibrateResult.model_construct())
+    return replace(state, workspace=replace(state.workspace, results=calibrated), marks=marks)
 
 
 def sentences(state: RunState, record: JobRecord) -> dict[str, str]:
     """Where -> what stands there in a state."""
-    now = headline(state, record, "none")
+    word, sentence, _ = headline(state, record, "none")
     steps = " ".join(f"{entry.key} {entry.title}{SIGNS[state.marks[entry.step].kind]}".strip() for entry in SCREENS)
     return {
         "first line": state.where,
         "steps": steps,
-        "Collect": f"{now.word}: {now.sentence}",
+        "Collect": f"{word}: {sentence}",
         "Calibrate": state.nothing("calibrate", "") or "Held-out errors by stage.",
         "Accept": state.no_run or state.not_calibrated or "The verdict.",
     }

@@ -14,14 +14,12 @@ import pytest
 from textual.binding import Binding
 from textual.dom import DOMNode
 from textual.screen import ModalScreen
-from textual.widgets import Tree
 
 from cellapp.commands.docs.keys import KEYS, filled_keys
 from cellapp.commands.stages import NextVerb, next_command
 from cellapp.interfaces.tui import verb_jobs
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.program import possible_commands
-from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.job_outcome import ERROR_LOG
 from cellapp.interfaces.tui.jobs import Job
 from cellapp.interfaces.tui.keys import WAYS
@@ -64,18 +62,6 @@ async def test_an_unforeseen_error_is_one_sentence_and_its_text_is_kept() -> Non
         assert "by the test" in app.message
         assert "could not be written" in app.message
         assert await exit_code(pilot, app) == 3
-
-
-async def test_a_bad_profile_is_a_sentence_and_starts_nothing(tmp_path: Path) -> None:
-    (tmp_path / "bad.yaml").write_text("schema: cellapp-profile\nversion: 1\nname: bad\nsede: 1\n")
-    app = CellApp(tmp_path)
-    async with app.run_test(size=SMALL) as pilot:
-        await until(pilot, lambda: "sede" in app.message, "the sentence")
-        assert "bad.yaml" in app.message
-        await pilot.press("f5")
-        await tells(pilot, "sede")  # what is wrong with it, not that none is open
-        assert not app.jobs.running
-        assert not Path("logs").exists()
 
 
 async def test_nothing_else_is_opened_while_a_job_moves_arms() -> None:
@@ -167,18 +153,6 @@ def test_footers_break_between_entries_only_and_keep_the_general_ones(width: int
     assert shown[:-3] == own[: len(shown) - 3], "the last ones are left out, help has them"
 
 
-async def test_the_next_step_is_begun_where_its_screen_is_shown() -> None:
-    collected_run(RUN, "stopped")
-    async with running() as (pilot, app):
-        app.open_run(RUN)
-        await until(pilot, lambda: app.workspace.folder == RUN, "the run")
-        await pilot.press("n")
-        await until(pilot, lambda: app.day_screen.STEP == "collect", "the screen of the step")
-        await pilot.press("n")
-        await until(pilot, lambda: isinstance(app.screen, Choice), "the question of the step")
-        assert "Measure the 2 stops that are left" in " ".join(shown_text(app).split())
-
-
 async def test_the_last_run_stands_on_the_first_screen_and_what_is_read_of_it_takes_no_key(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -214,7 +188,7 @@ async def test_every_next_step_of_every_state_is_begun_by_n_or_says_what_to_do(
 ) -> None:
     begun: list[Job] = []
     app = CellApp(PROFILES)
-    monkeypatch.setattr(app, "start_job", begun.append)
+    monkeypatch.setattr(app, "start_job", lambda job, **_: begun.append(job))
     planned_run(Path("logs/planned")).close()
     collected_run(Path("logs/part"), "stopped")
     collected_run(Path("logs/complete"), "complete", 4)
@@ -253,11 +227,3 @@ async def test_the_palette_lists_each_command_once() -> None:
             assert len(listed) == len(set(listed)), sorted(listed)
             twice = [verb for verb, (of, _) in WAYS.items() if of == entry.step and f"cellapp {verb}" in listed]
             assert not twice, "a key of the screen does it"
-
-
-# -- The handbook in the terminal: contents, search, links by keys and by the mouse, pictures by their words -----------
-
-
-def label(contents: Tree[object]) -> str:
-    """What stands under the cursor of the contents."""
-    return "" if contents.cursor_node is None else str(contents.cursor_node.label)

@@ -15,6 +15,7 @@ from textual.widgets import Static, TabbedContent
 
 from cellapp.cell.profile import load_profile
 from cellapp.cell.profile.starters import copy_starter
+from cellapp.commands.doctor.request import VERB
 from cellapp.commands.doctor.result import DoctorResult
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError
@@ -68,7 +69,7 @@ async def test_failed_checks_come_first_and_are_read_in_full() -> None:
         )
     )
     async with running() as (pilot, app):
-        cell_screen(app).show_result(found)
+        cell_screen(app).show_result(found, VERB.view(found))
         app.draw_all()
         await pilot.pause()
         assert line(app, "cell-verdict").startswith("1 check failed (1 warning): arm left: link. Checked at ")

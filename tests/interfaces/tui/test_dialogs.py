@@ -28,7 +28,7 @@ from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.job_outcome import REPORT_FILE, ending_of
 from cellapp.interfaces.tui.jobs import Job, JobEnded
 from tests.handbook.screen_pictures import settle
-from tests.interfaces.tui.pilot import PROFILES, ended, running, shown_text, shows, until
+from tests.interfaces.tui.pilot import PROFILES, ended, running, shown_text, until
 from tests.sure import sure
 
 DAY = Path("logs") / "day"
@@ -51,24 +51,6 @@ async def test_enter_in_a_field_sends_what_moves_nothing_and_the_first_empty_fie
     assert answers == [
         CompensateRequest(folder=Path("day"), targets=Path("old.script"), out=Path("new.script"), arm="left")
     ]
-
-
-async def test_calibrated_arms_are_exported_in_a_format_of_the_list(finished_run: Path) -> None:
-    shutil.copytree(finished_run, DAY)
-    async with running() as (pilot, app):
-        app.open_run(DAY)
-        await until(pilot, lambda: app.workspace.results is not None, "the run")
-        await pilot.press("4")
-        await settle(pilot)
-        await pilot.press("e")
-        await until(pilot, lambda: app.focused is app.screen.query_one("#form"), "the field of the format")
-        await shows(pilot, "dh-plain", "Write (Ctrl+S)")  # all of the dialog fits into the smallest terminal
-        await pilot.press(*"dh", "enter")
-        await shows(pilot, "--as FORMAT and --out FILE belong together")
-        app.screen.query_one("#out", Input).value = "mine.yaml"
-        await pilot.press("ctrl+s")
-        await ended(pilot, app)
-    assert Path("mine-left.yaml").is_file()
 
 
 # Nothing is done again without a question: a key that would repeat what a run holds asks first, and begins nothing.
@@ -142,8 +124,8 @@ WORSE = VerifyResult(arms={"left": ArmVerification(nominal_mm=SMALL_MM, compensa
 
 
 def ending_words(job: Job, result: Result | None) -> tuple[str, int]:
-    ending = ending_of(JobEnded(job, result, None if result is None else job.view(result)), None)
-    return ending.text, ending.code
+    text, _, code = ending_of(JobEnded(job, result, None if result is None else job.view(result)), None)
+    return text, code
 
 
 @pytest.mark.parametrize(

@@ -9,20 +9,14 @@ from pathlib import Path
 import pytest
 
 from cellapp.commands.next_step import stage_conclusions
-from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.keys import with_keys
 from cellapp.interfaces.tui.run_state import SIGNS, marks_of
 from cellapp.interfaces.tui.workspace import load_workspace
 from tests.approved import assert_approved
-from tests.interfaces.tui.pilot import shown_text
 from tests.interfaces.tui.states import STATES, states_table
 from tests.sure import sure
 
 COMMAND = re.compile(r"'cellapp |\bcellapp (?:plan|collect|calibrate|discover|push|report|check|iso9283|locate)\b")
-
-
-def words(app: CellApp) -> str:
-    return " ".join(shown_text(app).split())
 
 
 def test_each_state_says_what_was_approved() -> None:
@@ -72,6 +66,3 @@ def test_sentences_name_keys_and_no_commands() -> None:
     assert with_keys("More: 'cellapp docs joint_compliance'") == "More: key F1"
     assert with_keys("no runs below logs; 'cellapp run PROFILE' makes one") == "no runs below logs; key F5 makes one"
     assert with_keys("cellapp is a program") == "cellapp is a program"
-
-
-# -- The record of a job: what events leave behind, without any screen -------------------------------------------------

@@ -34,7 +34,7 @@ def logs() -> Path:
 
 def names(app: CellApp) -> list[str]:
     table = app.screen.query_one("#runs", DataTable)
-    return [str(table.get_row_at(row)[1]) for row in range(table.row_count)]
+    return [str(table.get_row_at(row)[0]).removeprefix("* ") for row in range(table.row_count)]
 
 
 def about(app: CellApp) -> str:

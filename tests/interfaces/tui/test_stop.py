@@ -201,7 +201,7 @@ async def test_an_application_that_goes_away_brakes_the_arms() -> None:
     async with held_by(moving) as (_, app):
         pass  # it is left at once
     assert moving.brakes[-1][0] == "stop"
-    await asyncio.to_thread(app.wait_for_job)
+    await asyncio.to_thread(app.leaving.wait_for_job)
     assert not [thread for thread in threading.enumerate() if thread.name == "collect"]
 
 

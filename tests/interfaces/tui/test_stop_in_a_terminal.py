@@ -21,7 +21,7 @@ from cellapp.cell.run import RunFile
 from cellapp.commands.run.request import VERB as RUN
 from cellapp.interfaces.tui import ESCAPE_WAITS_MS
 from cellapp.interfaces.tui.app import CellApp
-from cellapp.interfaces.tui.job_outcome import LEFT
+from cellapp.interfaces.tui.leaving import LEFT
 from cellapp.interfaces.tui.verb_jobs import job_of
 from drivers.emulators.ur_controller import Control
 from tests.commands.emulated_cell import stalled

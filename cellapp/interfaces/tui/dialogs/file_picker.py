@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from glob import escape, glob
 from pathlib import Path
 from typing import ClassVar
 
@@ -14,7 +15,6 @@ from textual.widgets import Input
 
 from cellapp.interfaces.tui.dialogs.question import AnswerQuestion, ChosenAnswer
 
-_MOST_SHOWN = 200
 _MOST_NAMED = 5
 
 
@@ -39,21 +39,9 @@ class PathSuggester(Suggester):
 
 def completions(text: str, wanted: Callable[[Path], bool]) -> list[str]:
     """Return the paths that begin with ``text``, sorted, folders with a slash; hidden ones only if asked for."""
-    head, tail = os.path.split(os.path.expanduser(text))
-    try:
-        entries = sorted(Path(head or ".").iterdir())
-    except OSError:
-        return []
-    found = []
-    for entry in entries[: 10 * _MOST_SHOWN]:
-        if not entry.name.startswith(tail) or (entry.name.startswith(".") and not tail.startswith(".")):
-            continue
-        path = os.path.join(head, entry.name)
-        if entry.is_dir():
-            found.append(path + os.sep)
-        elif wanted(entry):
-            found.append(path)
-    return found[:_MOST_SHOWN]
+    found = sorted(glob(f"{escape(os.path.expanduser(text))}*"))
+    paths = (path + os.sep if os.path.isdir(path) else path for path in found)
+    return [path for path in paths if path.endswith(os.sep) or wanted(Path(path))]
 
 
 class PathField(Input):
@@ -71,15 +59,6 @@ class PathField(Input):
 
     def __init__(self, text: str, wanted: Callable[[Path], bool], *, id: str = "path", hint: str = "") -> None:
         super().__init__(text, placeholder=hint, suggester=PathSuggester(wanted), id=id, compact=True)
-        self._wanted = wanted
-
-    def complete(self) -> None:
-        """Complete to the longest common prefix of all candidates."""
-        found = completions(self.value, self._wanted)
-        if found:
-            self.value = os.path.commonprefix(found)  # noqa: RUF071 - letter by letter is meant
-            self.cursor_position = len(self.value)
-        self.focus()
 
 
 class FilePicker(AnswerQuestion[Path]):
@@ -113,7 +92,11 @@ class FilePicker(AnswerQuestion[Path]):
 
     def action_complete(self) -> None:
         """Complete to the longest common prefix of all candidates; a single candidate completely."""
-        self.query_one(PathField).complete()
+        field = self.query_one(PathField)
+        if found := completions(field.value, self._wanted):
+            field.value = os.path.commonprefix(found)  # noqa: RUF071 - letter by letter is meant
+            field.cursor_position = len(field.value)
+        field.focus()
 
     def entered(self) -> None:
         """Open the file."""

@@ -29,10 +29,8 @@ class Welcome(Choice):
     """Choice of how to begin, with the long answers below one another."""
 
 
-def offer_first_run(app: Host) -> bool:
-    """Ask how to begin if there are no profiles; return whether the question was asked."""
-    if any(app.profiles.glob("*.yaml")):
-        return False
+def offer_first_run(app: Host) -> None:
+    """Ask how to begin where there are no profiles."""
     text = (
         f"There are no profiles in the folder {app.profiles}. A profile describes a cell: its arms, its tracker, where"
         " they stand. The simulated twin needs no hardware: from it, F5 leads to a finished report in a few minutes."
@@ -44,7 +42,6 @@ def offer_first_run(app: Host) -> bool:
         ChosenAnswer("open", "Open a profile elsewhere", "o"),
     )
     app.push_screen(Welcome("Welcome to cellapp", text, answers), lambda answer: begin_with(app, answer))
-    return True
 
 
 def begin_with(app: Host, answer: str | None) -> None:

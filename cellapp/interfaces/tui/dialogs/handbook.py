@@ -57,8 +57,8 @@ class Handbook(Question[None]):
         from cellapp.commands.docs.handbook import PARTS, search, sections
 
         listed: list[tuple[str, str]] = []
-        for hit in search(words) if len(words) >= _SHORTEST_SEARCH else ():
-            listed.append((f"{hit.section.chapter}: {hit.section.heading}", hit.section.terminal_text))
+        for one in search(words) if len(words) >= _SHORTEST_SEARCH else ():
+            listed.append((f"{one.chapter}: {one.heading}", one.terminal_text))
         if not listed:
             for part, chapters in PARTS.items():
                 listed.append((part, ""))

@@ -9,22 +9,21 @@ from collections.abc import Iterator
 from functools import partial
 from typing import ClassVar
 
-from textual import on
 from textual.app import App, ComposeResult, SystemCommand
 from textual.binding import Binding, BindingType
 from textual.command import CommandPalette
-from textual.containers import Horizontal
-from textual.widgets import Button, Input, Static
+from textual.containers import Container
+from textual.widgets import Input, Static
 
 from cellapp.commands.doctor.request import VERB as DOCTOR
 from cellapp.commands.rehearse.request import VERB as REHEARSE
-from cellapp.interfaces.tui.confirmations import offer_verb, offer_verb_of_profile, verbs_of_run
-from cellapp.interfaces.tui.dialogs.question import Question
+from cellapp.interfaces.tui.confirmations import offer_verb, verbs_of_run
+from cellapp.interfaces.tui.dialogs.question import AnswerQuestion, ChosenAnswer
 from cellapp.interfaces.tui.host import Host
 from cellapp.interfaces.tui.keys import step_of
 from cellapp.interfaces.tui.screens import SCREENS
 from cellapp.interfaces.tui.screens.base import DayScreen
-from cellapp.interfaces.tui.widgets.controls import StopCorner
+from cellapp.interfaces.tui.widgets.controls import StopButton
 
 
 class Palette(CommandPalette):
@@ -33,7 +32,7 @@ class Palette(CommandPalette):
     BINDINGS: ClassVar[list[BindingType]] = [Binding("f10", "escape", show=False)]
 
     def compose(self) -> ComposeResult:
-        yield StopCorner()
+        yield Container(StopButton(), classes="corner")
         yield from super().compose()
 
 
@@ -51,13 +50,12 @@ def possible_commands(app: Host, screen: DayScreen) -> Iterator[SystemCommand]:
             listed.add(binding.action)
             run = partial(app.run_action, binding.action, active.node)
             yield SystemCommand(binding.description, binding.tooltip or f"key {key}", run)
-    of_profile = ((verb, offer_verb_of_profile) for verb in (DOCTOR, REHEARSE))
-    for verb, offer in (*of_profile, *((verb, offer_verb) for verb in verbs_of_run())):
+    for verb in (DOCTOR, REHEARSE, *verbs_of_run()):
         if step_of(verb.name) != screen.STEP:  # there a key does it, and is listed above
-            yield SystemCommand(f"cellapp {verb.name}", verb.summary, partial(offer, screen, verb))
+            yield SystemCommand(f"cellapp {verb.name}", verb.summary, partial(offer_verb, screen, verb))
 
 
-class MotionQuestion(Question[bool]):
+class MotionQuestion(AnswerQuestion[bool]):
     """Show the first motion of real arms in words; a person types the profile's name to allow it.
 
     Parameters
@@ -68,33 +66,24 @@ class MotionQuestion(Question[bool]):
         The name to type.
     """
 
+    AUTO_FOCUS = "#name"
+
     def __init__(self, words: str, name: str) -> None:
-        super().__init__()
-        self._words, self._profile_name = words, name
+        refuse = ChosenAnswer("refuse", "Do not move", "escape", "error")
+        super().__init__("REAL ARMS WILL MOVE. Is the cell clear?", words, (refuse,))
+        self._profile_name = name
 
-    def body(self) -> ComposeResult:
-        yield Static("REAL ARMS WILL MOVE. Is the cell clear?", markup=False, classes="title danger")
-        yield Static(self._words, markup=False, classes="text")
-        yield Static(f"Type '{self._profile_name}' and Enter to let them move.", markup=False, id="asked")
+    def fields(self) -> ComposeResult:
+        yield Static(f"Type '{self._profile_name}' and Enter to let them move.", markup=False)
         yield Input(id="name", compact=True)
-        with Horizontal(classes="answers"):
-            yield Button("Do not move (Esc)", id="refuse", variant="error", compact=True)
 
-    def on_mount(self) -> None:
-        """Focus the field."""
-        self.query_one("#name").focus()
-
-    @on(Input.Submitted)
-    def check_name(self, event: Input.Submitted) -> None:
+    def entered(self) -> None:
         """Allow the motion if the name is correct, else ask again."""
-        event.stop()
-        if event.value.strip() == self._profile_name:
+        if self.typed("name") == self._profile_name:
             self.dismiss(True)
         else:
-            self.query_one("#asked", Static).update(f"That is not '{self._profile_name}'. Type it, or press Escape.")
+            self.explain(f"That is not '{self._profile_name}'. Type it, or press Escape.")
 
-    @on(Button.Pressed)
-    def refuse(self, event: Button.Pressed) -> None:
+    def action_answer(self, value: str) -> None:
         """Close the question: nothing moves."""
-        event.stop()
         self.dismiss(False)

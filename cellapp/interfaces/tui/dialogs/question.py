@@ -9,12 +9,12 @@ from typing import ClassVar, TypeVar
 from textual import on
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
-from textual.containers import Horizontal, Vertical, VerticalScroll
+from textual.containers import Container, Horizontal, Vertical, VerticalScroll
 from textual.screen import ModalScreen
 from textual.widgets import Button, Input, Static
 from textual.widgets.button import ButtonVariant
 
-from cellapp.interfaces.tui.widgets.controls import StopCorner
+from cellapp.interfaces.tui.widgets.controls import StopButton
 
 A = TypeVar("A")
 
@@ -34,7 +34,7 @@ class Question(ModalScreen[A]):
         return "F10" if self.app.check_action("stop", ()) else "Escape"
 
     def compose(self) -> ComposeResult:
-        yield StopCorner()
+        yield Container(StopButton(), classes="corner")
         with Vertical(classes="dialog"):
             yield from self.body()
 

@@ -12,14 +12,14 @@ from textual.containers import Vertical
 from textual.events import Resize, ScreenResume
 from textual.geometry import Size
 from textual.screen import Screen
-from textual.widgets import Static, TabbedContent, TabPane
+from textual.widgets import Static, TabbedContent, TabPane, Tabs
 
 from cellapp.commands.docs.keys import KEYS, SHOWN
-from cellapp.interfaces.tui.dialogs.question import BEGIN, USE_STALE, Choice, ChosenAnswer
+from cellapp.interfaces.tui.dialogs.question import BEGIN, USE_STALE, Choice, ChosenAnswer, reading_of
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.host import Host
 from cellapp.interfaces.tui.job_record import JobRecord
-from cellapp.interfaces.tui.keys import way_of
+from cellapp.interfaces.tui.keys import way_of, with_keys
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.verb_jobs import verb_job
 from cellapp.interfaces.tui.widgets.arm_panel import LiveStrip
@@ -29,13 +29,15 @@ from cellapp.interfaces.tui.widgets.progress_bars import ProgressBars
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
 if TYPE_CHECKING:
-    from cellapp.commands.record import Request, Verb
+    from cellapp.commands.record import Request, Verb, View
     from cellapp.commands.run_results import RunResults
     from cellapp.estimation.calibration.records import CalibrateResult
     from cellapp.ground.results import Result, StageName
-    from cellapp.interfaces.tui.host import Severity
+    from cellapp.interfaces.tui.host import Severity, ShowsResult
     from cellapp.interfaces.tui.jobs import Job
 
+READING_WIDTH = 66
+"""Characters per line of a text that fits into the narrowest terminal."""
 _LEAST = (60, 16)
 """Columns and lines of the smallest terminal in which tables and plots are readable."""
 _TOO_SMALL = "Make the terminal larger, at least 80x24. Jobs go on; STOP and all keys work."
@@ -111,10 +113,9 @@ class DayScreen(Screen[None]):
     def draw_state(self) -> None:
         """Draw the parts of the state that all screens show, then this screen's parts, if they have changed."""
         state = self.state
-        record = self.cell_app.record
-        self.query_one(DayHeader).show(state, self.workspace.kind, record)
-        self.query_one(ProgressBars).show(record)
+        self.query_one(ProgressBars).show(self.cell_app.record)
         if state != self._state:
+            self.query_one(DayHeader).show(state)
             self.query_one(StepLine).show(state.marks, self.STEP)
             line = self.query_one(".next-words", Line)
             line.display = state.job is None
@@ -128,13 +129,20 @@ class DayScreen(Screen[None]):
     def show_job(self, record: JobRecord) -> None:
         """Draw the current or the last job."""
 
-    def show_result(self, result: Result) -> None:
+    def show_result(self, result: Result, view: View) -> None:
         """Draw the result of a job that this screen started, or that ended while it is shown."""
 
-    def start(self, job: Job) -> None:
-        """Start a job; if it cannot start, a sentence says why."""
-        if self.cell_app.start_job(job):
-            self.cell_app.asked_by = self
+    def read_result(self, result: Result, view: View) -> None:
+        """Show the result of a job that no screen draws as a text to read."""
+        from cellapp.interfaces.render.terminal import plain_text  # late: results are shown after the start
+        from cellapp.interfaces.tui.widgets.parts_view import words_first
+
+        text = with_keys(plain_text(words_first(view.parts), READING_WIDTH))
+        self.app.push_screen(reading_of(self.cell_app.record.name, [text]))
+
+    def start(self, job: Job, shows_result: ShowsResult | None = None) -> None:
+        """Start a job; if it cannot start, a sentence says why. By default this screen shows its result."""
+        self.cell_app.start_job(job, shows_result=shows_result or self.show_result)
 
     def ask(self, question: Choice, begin: Callable[[], None]) -> None:
         """Ask, and begin unless the answer is no."""
@@ -145,10 +153,18 @@ class DayScreen(Screen[None]):
         stale = self.workspace.stale
         return f"{text} {self.workspace.arms_words}." + (f"\nThe model is not up to date: {stale}." if stale else "")
 
-    def question_of(
-        self, verb: Verb, text: str, given: Mapping[str, Any], answers: Sequence[ChosenAnswer] = BEGIN, **more: Any
-    ) -> VerbQuestion:
-        """Return the dialog of a verb; where arms move, it says so, and asks whether a model out of date is used.
+    def ask_verb(
+        self,
+        verb: Verb,
+        text: str,
+        given: Mapping[str, Any],
+        answers: Sequence[ChosenAnswer] = BEGIN,
+        *,
+        shows_result: ShowsResult | None = None,
+        **more: Any,
+    ) -> None:
+        """Ask for the request of a verb, then run it; where arms move, say so, and ask whether a model out of date is
+        used.
 
         ``more`` are further arguments of the dialog, as ``proposed`` values.
         """
@@ -156,22 +172,13 @@ class DayScreen(Screen[None]):
         if "out_of_date" in verb.request.model_fields:
             given, answers = {**given, "out_of_date": bool(stale)}, USE_STALE if stale else answers
         text = self.moving_words(text) if verb.moves_arms else text
-        return VerbQuestion(verb, text, answers, given, simulated=self.workspace.kind == "simulated", **more)
-
-    def ask_verb(
-        self, verb: Verb, text: str, given: Mapping[str, Any], answers: Sequence[ChosenAnswer] = BEGIN, **more: Any
-    ) -> None:
-        """Ask for the request of a verb, as ``question_of`` says, then run it."""
-        self.ask_request(self.question_of(verb, text, given, answers, **more))
-
-    def ask_request(self, question: VerbQuestion) -> None:
-        """Ask for the request of a verb, then run it."""
+        simulated = self.workspace.kind == "simulated"
 
         def begin(request: Request | None) -> None:
             if request is not None:
-                self.start(verb_job(question.verb, request))
+                self.start(verb_job(verb, request), shows_result)
 
-        self.app.push_screen(question, begin)
+        self.app.push_screen(VerbQuestion(verb, text, answers, given, simulated=simulated, **more), begin)
 
     def begin_next(self, command: str) -> bool:
         """Begin the next command, as its key on this screen does; return False if none does it now."""
@@ -232,8 +239,10 @@ class DayScreen(Screen[None]):
         self.set_class(event.size.width < _LEAST[0] or event.size.height < _LEAST[1], "-too-small")
 
     def on_mount(self) -> None:
-        """Store the state on which the styles of the new widgets depend."""
+        """Store the state on which the styles of the new widgets depend, and explain the tabs."""
         self._look = self._present_look
+        for tabs in self.query(Tabs):
+            tabs.tooltip = f"Left and right choose a tab; {SHOWN['tab']} shows the next one"
 
     def on_screen_resume(self, event: ScreenResume) -> None:
         """Draw what changed while another screen was shown; refresh styles only if they may have changed."""

@@ -6,7 +6,6 @@ from typing import ClassVar
 
 from textual.binding import BindingType
 
-from cellapp.cell.exports.arm_export import ExportResult
 from cellapp.cell.exports.formats import all_formats
 from cellapp.commands.calibrate import request
 from cellapp.commands.calibrate.charts import pair_stop_chart, stop_error_chart
@@ -17,10 +16,10 @@ from cellapp.commands.report.data import ReportData
 from cellapp.commands.stored_model import values_in_force
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import with_effects
-from cellapp.ground.results import CALIBRATE, Result
+from cellapp.ground.results import CALIBRATE
 from cellapp.interfaces.tui import verb_jobs
 from cellapp.interfaces.tui.confirmations import offer_again
-from cellapp.interfaces.tui.dialogs.question import WRITE, reading_of
+from cellapp.interfaces.tui.dialogs.question import WRITE
 from cellapp.interfaces.tui.keys import bind
 from cellapp.interfaces.tui.screens.tabs import TabsScreen
 from cellapp.interfaces.tui.workspace import Step, Workspace
@@ -64,15 +63,9 @@ class CalibrateScreen(TabsScreen):
                 f"{listed}\nSeveral arms get a file each.",
                 {"folder": folder, "plan": None},
                 WRITE,
+                shows_result=self.read_result,
                 choices=choices,
             )
-
-    def show_result(self, result: Result) -> None:
-        """Show what was exported, and what the files do not contain."""
-        if isinstance(result, ExportResult) and self.app.screen is self:
-            from cellapp.cell.exports.formats import export_lines
-
-            self.app.push_screen(reading_of("Exported", export_lines(result)))
 
     # -- drawing -------------------------------------------------------------------------------------------------------
 

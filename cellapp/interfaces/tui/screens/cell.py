@@ -21,14 +21,15 @@ from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.keys import bind
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.controls import Line
-from cellapp.interfaces.tui.widgets.tables import CellMap, explain_tabs
+from cellapp.interfaces.tui.widgets.parts_view import PartsView
+from cellapp.interfaces.tui.widgets.tables import CellMap
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
 if TYPE_CHECKING:
     from cellapp.commands.doctor.result import DoctorResult
+    from cellapp.commands.record import View
     from cellapp.ground.profile import Profile
     from cellapp.ground.results import Result
-    from cellapp.interfaces.tui.widgets.parts_view import PartsView
     from cellapp.interfaces.tui.widgets.runs_list import RunsList
 
 _NOT_CHECKED = f"Not checked yet: {SHOWN['go']} asks the doctor; nothing moves."
@@ -66,11 +67,11 @@ class CellScreen(DayScreen):
             with Vertical(id="cell-middle"):
                 yield Line(id="cell-verdict")
                 with TabbedContent(id="cell-tabs", initial="tab-profile"):
-                    # an empty pane would show its own name
-                    yield TabPane("Profile", Static(classes="nothing"), id="tab-profile")
-                    yield TabPane("Doctor", Static(classes="nothing"), id="tab-doctor")
+                    yield TabPane("Profile", PartsView(id="profile"), id="tab-profile")
+                    yield TabPane("Doctor", PartsView(_NOT_CHECKED, id="findings"), id="tab-doctor")
                     with TabPane("Map", id="tab-map"):
                         yield CellMap(id="cell-map")
+                    # an empty pane would show its own name
                     yield TabPane("Runs", Static(classes="nothing"), id="tab-runs")
 
     def on_mount(self) -> None:
@@ -78,7 +79,6 @@ class CellScreen(DayScreen):
         self._found = offered_profiles(self.cell_app.profiles)
         profiles = self.query_one("#profiles", OptionList)
         profiles.add_options([path.stem for path in self._found])
-        explain_tabs(self.query_one("#cell-tabs", TabbedContent))
         if self._found:
             self.call_after_refresh(self._highlight_first)  # it is read in a thread, once the screen is drawn
         else:
@@ -184,29 +184,17 @@ class CellScreen(DayScreen):
         self._asked_path = path
         self.start(verbs.verb_job(DOCTOR, DoctorRequest(profile=path)))
 
-    def show_result(self, result: Result) -> None:
+    def show_result(self, result: Result, view: View) -> None:
         """Draw the doctor's findings."""
         from cellapp.commands.doctor.result import DoctorResult
 
         if isinstance(result, DoctorResult):
             self._doctor, self._doctor_path, self._doctor_at = result, self._asked_path, datetime.now()
             self._doctor_profile, self._written_ns = self.workspace.profile, _written_ns(self._doctor_path)
-            self._show_findings(result)
+            ordered = sorted(result.findings, key=lambda finding: _ORDER[finding.status])  # failed ones first
+            findings = DOCTOR.view(result.model_copy(update={"findings": ordered}))
+            self.query_one("#findings", PartsView).show(findings.parts)
             self.query_one("#cell-tabs", TabbedContent).active = "tab-doctor"
-
-    def _parts(self, tab: str) -> PartsView:
-        """Return the parts of a tab. Their first use loads numerics, which the start must not wait for."""
-        from cellapp.interfaces.tui.widgets.parts_view import PartsView
-
-        pane = self.query_one(f"#tab-{tab}", TabPane)
-        if not pane.query(PartsView):
-            pane.mount(PartsView(_NOT_CHECKED if tab == "doctor" else ""))
-        return pane.query_one(PartsView)
-
-    def _show_findings(self, result: DoctorResult) -> None:
-        """Show every check, failed ones first."""
-        ordered = sorted(result.findings, key=lambda finding: _ORDER[finding.status])
-        self._parts("doctor").show(DOCTOR.view(result.model_copy(update={"findings": ordered})).parts)
 
     # -- drawing -------------------------------------------------------------------------------------------------------
 
@@ -227,15 +215,15 @@ class CellScreen(DayScreen):
             self._runs.action_read()
         if workspace.profile != self._doctor_profile and workspace.profile_path != self._doctor_path:
             self._doctor = self._doctor_profile = None
-            self._parts("doctor").show(())
+            self.query_one("#findings", PartsView).show(())
 
     def _show_profile(self, profile: Profile | None, problem: str) -> None:
         if profile is not None:
             from cellapp.commands.doctor.view import profile_tables
 
-            self._parts("profile").show(profile_tables(profile))
+            self.query_one("#profile", PartsView).show(profile_tables(profile))
         elif problem:
-            self._parts("profile").show(problem.splitlines())
+            self.query_one("#profile", PartsView).show(problem.splitlines())
             self.query_one("#cell-tabs", TabbedContent).active = "tab-profile"
 
     def _verdict(self) -> tuple[str, str]:

@@ -7,17 +7,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable
-from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import ClassVar, Literal, get_args
 
-from textual import on
 from textual.app import ComposeResult
 from textual.binding import BindingType
 from textual.containers import Container, Horizontal
 from textual.content import Content
-from textual.widgets import Static
 
 from cellapp.commands.collect.charts import drift_chart, live_drift_chart, residual_chart, standard_error_chart
 from cellapp.commands.collect.request import VERB as COLLECT
@@ -35,7 +32,7 @@ from cellapp.interfaces.tui.keys import bind
 from cellapp.interfaces.tui.run_state import RunState, holds_for_drift
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.terminal import since_words
-from cellapp.interfaces.tui.widgets.arm_panel import ArmPanel, TrackerPanel
+from cellapp.interfaces.tui.widgets.arm_panel import ArmPanel, tracker_words
 from cellapp.interfaces.tui.widgets.chart_plot import ChartPlot
 from cellapp.interfaces.tui.widgets.collected_stops import CollectedStops
 from cellapp.interfaces.tui.widgets.controls import Line
@@ -57,13 +54,8 @@ _DOING: dict[JobState, tuple[Look, str]] = {
 }
 
 
-@dataclass(frozen=True)
-class Headline:
-    """A word, a sentence with what can be done, and their style."""
-
-    word: str
-    sentence: str
-    look: Look
+Headline = tuple[str, str, Look]
+"""A word, a sentence with what can be done, and their style."""
 
 
 def headline(run: RunState, record: JobRecord, request: Request) -> Headline:
@@ -71,13 +63,13 @@ def headline(run: RunState, record: JobRecord, request: Request) -> Headline:
     if record.state is None:
         return _of_run(run)
     if run.job is not None and not run.job.moves:
-        return Headline("RUNNING", f"{record.name}: nothing moves. {_STOP} or {_ENDS}", "running")
+        return ("RUNNING", f"{record.name}: nothing moves. {_STOP} or {_ENDS}", "running")
     state = record.state
     if state in ("running", "pausing") and record.causes:  # the job's thread has not noticed yet, or hangs
-        return Headline("STOPPED", f"{'; '.join(record.causes).rstrip('.')}. {_DOING['stopped'][1]}", "halted")
+        return ("STOPPED", f"{'; '.join(record.causes).rstrip('.')}. {_DOING['stopped'][1]}", "halted")
     if record.lost and state != "stopped":  # a stopped job gives the reason and what to do; the strip shows the ages
         text = f"from {', '.join(record.lost)}: what is shown of it is old. {_STOP} brakes all arms."
-        return Headline("NO DATA", text, "halted")
+        return ("NO DATA", text, "halted")
     if state == "running" and request != "none":
         state = {"pause": "pausing", "stop": "stopped", "abort": "aborted"}[request]  # type: ignore[assignment]
     look, possible = _DOING[state]
@@ -85,21 +77,21 @@ def headline(run: RunState, record: JobRecord, request: Request) -> Headline:
         possible = f"Look for a moved tracker, nest or SMR. {SHOWN['drift']} accepts the drift and resumes, as"
         possible += f" {SHOWN['resume']} does; {_ENDS}"
     waits = record.reason and state == record.state != "running"
-    return Headline(state.upper(), f"{since_words(record)}. {possible}" if waits else possible, look)
+    return (state.upper(), f"{since_words(record)}. {possible}" if waits else possible, look)
 
 
 def _of_run(state: RunState) -> Headline:
     cell, todo, measured = state.workspace, state.remaining, state.measured
     if state.no_run:
-        return Headline("NO RUN", state.no_run, "idle")
+        return ("NO RUN", state.no_run, "idle")
     if state.reading:
-        return Headline("READING", state.reading, "idle")
+        return ("READING", state.reading, "idle")
     if cell.in_use:
-        return Headline("IN USE", f"by {cell.in_use}. Shown is what was stored when it was opened.", "waiting")
+        return ("IN USE", f"by {cell.in_use}. Shown is what was stored when it was opened.", "waiting")
     if not todo and not measured:
-        return Headline("NO PLAN", "This run has no stops to measure.", "idle")
+        return ("NO PLAN", "This run has no stops to measure.", "idle")
     if not todo:
-        return Headline(f"COMPLETE, {counted(measured, 'stop')}", "Nothing is left to measure.", "done")
+        return (f"COMPLETE, {counted(measured, 'stop')}", "Nothing is left to measure.", "done")
     left = counted(todo, "stop that is left", "stops that are left")
     sentence = f"{SHOWN['go']} measures {left}. Nothing moves before it is confirmed."
     if cell.read_only:
@@ -107,9 +99,9 @@ def _of_run(state: RunState) -> Headline:
     elif cell.drifts:
         sentence = f"The references moved beyond their limit: {SHOWN['drift']} accepts that and resumes. {sentence}"
     if not measured or cell.outcome == "complete":  # others were planned since
-        return Headline(f"READY, {counted(todo, 'stop')}", sentence, "idle")
+        return (f"READY, {counted(todo, 'stop')}", sentence, "idle")
     word = "ACCURATE ENOUGH" if cell.outcome == "accurate enough" else "INTERRUPTED"
-    return Headline(f"{word}, {measured} of {counted(measured + todo, 'stop')}", sentence, "idle")
+    return (f"{word}, {measured} of {counted(measured + todo, 'stop')}", sentence, "idle")
 
 
 View = Literal["log", "plots", "stops", "collected"]
@@ -141,14 +133,13 @@ class CollectScreen(DayScreen):
         self._plotted_s = 0.0
         self._opened: Path | None = None
         self._job: Job | None = None
-        self._suspicions = 0
 
     def body(self) -> ComposeResult:
         self.add_class(self._first_view)  # before the widgets are there, whose styles depend on it
         yield Line(id="state")
         yield Horizontal(id="arms")
-        yield TrackerPanel()
-        yield Static("", id="suspicions", markup=False)
+        yield Line(id="tracker")
+        yield Line(id="suspicions")
         with Container(id="plots"):
             for name in _PLOTS:
                 yield ChartPlot(id=name)
@@ -159,11 +150,17 @@ class CollectScreen(DayScreen):
     def on_mount(self) -> None:
         """Set the tooltips, and focus the log."""
         self.query_one("#state").tooltip = "The state of the job, and what can be done now."
+        self.query_one("#tracker").tooltip = (
+            "The tracker: the arm at which it points; the newest point in the tracker frame and its standard"
+            " uncertainty; the air."
+        )
         self.query_one("#suspicions").tooltip = "What the measurements made doubtful: look at it before you go on."
         for plot in self.query(ChartPlot):
             plot.tooltip = "Errors of the newest points, standard errors, drift of the references."
         self.query_one(f"#{_PLOTS[0]}").add_class("chosen")
         self.query_one(LogPane).view.focus()
+        stops = self.query_one(CollectedStops)
+        self.watch(stops, "chosen", lambda: self.show_job(self.cell_app.record), init=False)  # marked in the plot
 
     # -- begin, resume, accept -----------------------------------------------------------------------------------------
 
@@ -197,7 +194,7 @@ class CollectScreen(DayScreen):
         stops = self.query_one(CollectedStops).again
         listed = ", ".join(str(stop + 1) for stop in stops)
         what = f"{counted(len(stops), 'stop')} again, all arms: {listed}. The readings before are kept and not used"
-        if self.state.stored == "calibrated":
+        if self.workspace.stored("calibrate") is not None:
             what += "; what was calibrated with them is out of date then"
         self._collect("Measure again?", what, again=listed.replace(" ", ""))
 
@@ -282,7 +279,8 @@ class CollectScreen(DayScreen):
         if not running and (self._job is None or self._job.folder != self.workspace.folder):
             record = JobRecord()  # the job was about another run
         self._draw_arms(record)
-        self.query_one(TrackerPanel).tracker = record.tracker
+        tracker = Content.assemble(("tracker", "bold"), " ", tracker_words(record.tracker))
+        self.query_one("#tracker", Line).say(tracker)
         self._draw_suspicions(record)
         self.set_class(record.state is None and not record.arms, "unheard")
         self._draw_plots(record)
@@ -296,8 +294,8 @@ class CollectScreen(DayScreen):
         self._opened = job.folder or self._opened  # its stored log is received anyway
 
     def _draw_state(self, record: JobRecord) -> None:
-        now = headline(self.state, record, self.cell_app.jobs.control.request)
-        self.query_one("#state", Line).say(Content.assemble((now.word, "bold"), f"  {now.sentence}"), now.look)
+        word, sentence, look = headline(self.state, record, self.cell_app.jobs.control.request)
+        self.query_one("#state", Line).say(Content.assemble((word, "bold"), f"  {sentence}"), look)
 
     def _draw_arms(self, record: JobRecord) -> None:
         panels = {panel.arm_name: panel for panel in self.query(ArmPanel)}
@@ -317,22 +315,19 @@ class CollectScreen(DayScreen):
 
     def _draw_suspicions(self, record: JobRecord) -> None:
         """Draw the newest suspicion in words, and how many there were before."""
-        if len(record.suspicions) == self._suspicions:
-            return
-        self._suspicions = len(record.suspicions)
-        box = self.query_one("#suspicions", Static)
-        box.set_class(bool(record.suspicions), "any")
+        line, words = self.query_one("#suspicions", Line), ""
         if record.suspicions:
             newest = record.suspicions[-1]
             before = len(record.suspicions) - 1
             more = f" ({before} before: {SHOWN['filter']} in the log shows them)" if before else ""
             arm = "" if newest.arm is None else f", arm {newest.arm}"
-            box.update(f"! {newest.kind.upper()}{arm}: {newest.text}{more}")
+            words = f"! {newest.kind.upper()}{arm}: {newest.text}{more}"
+        line.say(words, "any" if words else "")
 
     def _draw_plots(self, record: JobRecord) -> None:
         """Draw the plots of new data; while a job runs once a second at most, because drawing delays keys."""
-        reports, chosen = sum(map(len, record.stops.values())), self.query_one(CollectedStops).chosen
-        data, now_s = (record.name, reports, len(record.references), self.workspace, chosen), time.monotonic()
+        chosen = self.query_one(CollectedStops).chosen
+        data, now_s = (record.name, len(record.stops), len(record.references), self.workspace, chosen), time.monotonic()
         if data == self._plotted or (record.state is not None and now_s < self._plotted_s + _PLOTTING_S):
             return
         self._plotted, self._plotted_s = data, now_s
@@ -343,11 +338,6 @@ class CollectScreen(DayScreen):
             plot.set_class(nothing, "empty")
         self.set_class(all(empty.values()), "unplotted")
 
-    @on(CollectedStops.Chosen)
-    def mark_chosen(self) -> None:
-        """Mark the stop under the cursor in the plot of the residuals."""
-        self.show_job(self.cell_app.record)
-
     def _chart(self, name: str, record: JobRecord) -> Chart:
         """Return a chart of the job, or of the stored data if the job has no stop or no reference."""
         collection = self.workspace.collection
@@ -355,8 +345,7 @@ class CollectScreen(DayScreen):
             if record.references or collection is None:
                 return live_drift_chart(record.references)
             return drift_chart(collection.references, collection.drift_limit_mm)
-        reports = [report for arm in record.stops.values() for report in arm]
-        arms, nothing = self._arm_names(record), self.state.not_collected
+        reports, arms, nothing = record.stops, self._arm_names(record), self.state.not_collected
         if name == "errors":
             return standard_error_chart(reports, arms, nothing)
         if reports or collection is None:

@@ -25,13 +25,14 @@ from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.controls import Line
 from cellapp.interfaces.tui.widgets.parts_view import PartsView
-from cellapp.interfaces.tui.widgets.tables import CellMap, TextTable, explain_tabs
+from cellapp.interfaces.tui.widgets.tables import CellMap, TextTable
 from cellapp.interfaces.tui.workspace import Step, Workspace, new_folder
 
 if TYPE_CHECKING:
     from cellapp.cell.planning.planned_stops import PlannedStops
     from cellapp.cell.planning.records import PlanCheckResult, PlanForecastResult
     from cellapp.commands.plan.result import PlannedStop
+    from cellapp.commands.record import View
     from cellapp.ground.results import Result
 
 
@@ -65,12 +66,10 @@ class PlanScreen(DayScreen):
         self._listed: Workspace | None = None
         self._check: PlanCheckResult | None = None
         self._forecast: PlanForecastResult | None = None
-        self._file_check: PlanCheckResult | None = None
 
     def body(self) -> ComposeResult:
         yield Line(id="plan-state")
         yield Line(id="plan-safety")
-        yield Line(id="plan-time")
         with TabbedContent(id="plan-tabs", initial="tab-constraints"):
             with TabPane("Limits", id="tab-constraints"):
                 yield PartsView(id="constraints")
@@ -84,10 +83,6 @@ class PlanScreen(DayScreen):
                 yield PartsView(_NO_CHECK, id="refusals")
             with TabPane("Above", id="tab-above"):
                 yield CellMap(id="plan-above")
-
-    def on_mount(self) -> None:
-        """Explain the tabs."""
-        explain_tabs(self.query_one("#plan-tabs", TabbedContent))
 
     # -- actions -------------------------------------------------------------------------------------------------------
 
@@ -140,21 +135,19 @@ class PlanScreen(DayScreen):
 
     # -- drawing -------------------------------------------------------------------------------------------------------
 
-    def show_result(self, result: Result) -> None:
+    def show_result(self, result: Result, view: View) -> None:
         """Draw a check or a forecast."""
         from cellapp.cell.planning.records import PlanCheckResult, PlanForecastResult
 
         tabs = self.query_one("#plan-tabs", TabbedContent)
         result = result.result if isinstance(result, Shown) and result.result is not None else result
         if isinstance(result, PlanCheckResult) and result.file is not None:
-            self._file_check = result
-            tabs.active = "tab-check"
-            self._draw_results()
+            self.read_result(result, view)
             return
         if isinstance(result, PlanCheckResult | PlanForecastResult) and Path(result.run) != self.workspace.folder:
             return  # another run was opened meanwhile
         if isinstance(result, PlanCheckResult):
-            self._check, self._file_check = result, None
+            self._check = result
             if result.refused:
                 tabs.active = "tab-check"
         elif isinstance(result, PlanForecastResult):
@@ -184,32 +177,20 @@ class PlanScreen(DayScreen):
         self.query_one("#plan-state", Line).say(_state_words(state, self.workspace))
 
     def _draw_results(self) -> None:
-        """Draw check and forecast, or which keys start them."""
-        has_plan = bool(_stops_of(self.workspace))
-        self._draw_check(has_plan=has_plan)
-        words = _NO_FORECAST if has_plan else ""
-        shown = self.query_one("#forecast", PartsView)
-        if (forecast := self._forecast) is None:
-            shown.show(())
-        else:
-            from cellapp.commands.plan.check_view import forecast_sentences, forecast_tables, time_sentence
+        """Draw forecast and check, or which keys start them."""
+        from cellapp.commands.plan.check_view import check_sentences, forecast_sentences, forecast_tables
 
-            shown.show((*forecast_sentences(forecast), *forecast_tables(forecast)))
-            words = " ".join([time_sentence(forecast.time), *forecast.notes])
-        line = self.query_one("#plan-time", Line)
-        line.say(words)
-        line.display = bool(words)
-
-    def _draw_check(self, *, has_plan: bool) -> None:
-        """Draw the verdict on the open run's plan, and the refusals of this plan or of the last checked edited plan."""
-        line, check = self.query_one("#plan-safety", Line), self._check
-        line.display = has_plan
-        if check is not None:
-            line.say(_check_lines(check)[0], "safe" if check.is_safe else "unsafe")
+        forecast, check = self._forecast, self._check
+        parts = () if forecast is None else (*forecast_sentences(forecast), *forecast_tables(forecast))
+        self.query_one("#forecast", PartsView).show(parts)
+        refusals = [] if check is None else check_sentences(check)
+        self.query_one("#refusals", PartsView).show(refusals)
+        line = self.query_one("#plan-safety", Line)
+        line.display = bool(_stops_of(self.workspace))
+        if check is None:
+            line.say(f"Checked when it was planned; {SHOWN['check']} checks it again.", "")
         else:
-            line.say(f"Checked when it was planned; {SHOWN['check']} checks it again." if has_plan else "", "")
-        listed = self._file_check or check
-        self.query_one("#refusals", PartsView).show(() if listed is None else _check_lines(listed))
+            line.say(refusals[0], "safe" if check.is_safe else "unsafe")
 
     @on(TabbedContent.TabActivated)
     def _list_stops(self) -> None:
@@ -236,15 +217,6 @@ def _stops_table(stops: Sequence[PlannedStop], ways: PlannedStops | None) -> Tab
 
 def _stops_of(workspace: Workspace) -> Sequence[PlannedStop]:
     return () if workspace.stops is None else workspace.stops.stops
-
-
-def _check_lines(check: PlanCheckResult) -> list[str]:
-    """Return the verdict of a check, then its refusals."""
-    from cellapp.commands.plan.check_view import check_sentences
-
-    verdict, *refusals = check_sentences(check)
-    # the line above the tabs is about the open run
-    return [verdict if check.file is None else f"{check.file}: {verdict}", *refusals]
 
 
 def _state_words(state: RunState, workspace: Workspace) -> str:

@@ -16,12 +16,10 @@ from textual.events import Resize
 from textual.widgets import DataTable, Static, TabbedContent, TabPane, Tabs
 from textual.worker import get_current_worker
 
-from cellapp.cell.programs.records import CorrectResult
 from cellapp.cell.targets.targets import Target, list_problems, load_targets
 from cellapp.commands.check.request import STOPS_TO_LOCATE
 from cellapp.commands.check.request import VERB as CHECK
 from cellapp.commands.compensate.charts import target_charts
-from cellapp.commands.compensate.program import correct_table
 from cellapp.commands.compensate.request import PROGRAMS
 from cellapp.commands.compensate.request import VERB as COMPENSATE
 from cellapp.commands.compensate.tables import all_measured_tables, stored_tables
@@ -37,15 +35,12 @@ from cellapp.commands.compensate.words import compensate_summary, unknown_lines,
 from cellapp.commands.docs.keys import SHOWN
 from cellapp.commands.push.request import VERB as PUSH
 from cellapp.commands.view.parts import Part
-from cellapp.estimation.monitoring.records import LocateResult
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.results import Result
 from cellapp.interfaces.tui import verb_jobs
-from cellapp.interfaces.tui.confirmations import READING_WIDTH
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
-from cellapp.interfaces.tui.dialogs.question import BEGIN, USE_STALE, WRITE, Choice, reading_of
+from cellapp.interfaces.tui.dialogs.question import BEGIN, USE_STALE, WRITE, Choice
 from cellapp.interfaces.tui.keys import bind
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
@@ -69,14 +64,11 @@ def why_not(workspace: Workspace, state: RunState, targets: Sequence[Target]) ->
         return state.not_calibrated
     if not targets:
         return EMPTY
-    return _unfit(targets, workspace.profile)
-
-
-def _unfit(targets: Sequence[Target], profile: Profile) -> str:
-    """Return the problem of the first target that does not fit the cell of the run; empty if there is none."""
-    for index, key, text in list_problems(targets, profile):
-        return f"Target '{targets[index].name}', {key}: {text}. {SHOWN['edit']} edits the list."
-    return ""
+    first = next(list_problems(targets, workspace.profile), None)
+    if first is None:
+        return ""
+    index, key, text = first
+    return f"Target '{targets[index].name}', {key}: {text}. {SHOWN['edit']} edits the list."
 
 
 _NOT_MEASURED = f"Nothing was computed yet: {SHOWN['go']} compensates, {SHOWN['measure']} pushes and verifies."
@@ -117,7 +109,6 @@ class TargetsScreen(DayScreen):
         self._opened_for: Path | None = None
         self._attention = False
         self._rows: list[int] = []
-        self._corrected: CorrectResult | None = None
 
     def body(self) -> ComposeResult:
         with TabbedContent(id="targets"):
@@ -236,7 +227,7 @@ class TargetsScreen(DayScreen):
         words = "After the tracker was moved: measure a few points, so that the calibration holds from where it stands;"
         if (calibrated := self.calibrated_run()) is not None:
             given = {"folder": calibrated[0], "tracker_moved": True, "simulated_plant": None}
-            self.ask_verb(CHECK, words, given, proposed={"stops": STOPS_TO_LOCATE})
+            self.ask_verb(CHECK, words, given, shows_result=self.read_result, proposed={"stops": STOPS_TO_LOCATE})
 
     def action_correct(self) -> None:
         """Ask for a program and the file of its corrected copy."""
@@ -250,26 +241,18 @@ class TargetsScreen(DayScreen):
                 out = program.with_stem(f"{program.stem}-corrected")
                 proposed = {"out": out, "arm": arms[0] if len(arms) == 1 else None}
                 given, text = {"folder": folder, "targets": program}, f"{program.name}; nothing moves."
-                self.ask_verb(COMPENSATE, text, given, WRITE, proposed=proposed, choices={"arm": arms})
+                self.ask_verb(
+                    COMPENSATE,
+                    text,
+                    given,
+                    WRITE,
+                    shows_result=self.read_result,
+                    proposed=proposed,
+                    choices={"arm": arms},
+                )
 
         title = f"A program of a UR controller ({', '.join(PROGRAMS)})"
         self.app.push_screen(FilePicker(title, Path.cwd(), lambda path: path.suffix in PROGRAMS), ask)
-
-    def show_result(self, result: Result) -> None:
-        """Show the tracker's pose, or the targets of a corrected program, and why some were not corrected."""
-        if isinstance(result, LocateResult) and self.app.screen is self:
-            from cellapp.commands.check.view import location_sentences, location_tables
-            from cellapp.interfaces.render.terminal import plain_text
-
-            text = plain_text((*location_sentences(result), *location_tables(result)), READING_WIDTH)
-            self.app.push_screen(reading_of("Tracker", [text]))
-        if isinstance(result, CorrectResult) and self.app.screen is self:
-            from cellapp.cell.programs.solving import correct_lines
-
-            self._corrected = result
-            self._draw_results()
-            self._show_tab("results")
-            self.app.push_screen(reading_of("Program", correct_lines(result)))
 
     # -- tabs ----------------------------------------------------------------------------------------------------------
 
@@ -343,8 +326,8 @@ class TargetsScreen(DayScreen):
         return [row for row, state in enumerate(states) if state.needs_attention or not self._attention]
 
     def _draw_results(self) -> None:
-        """Draw sentences, charts and tables of the last program, of what was measured and of the commands."""
-        parts: list[Part] = [] if self._corrected is None else [correct_table(self._corrected)]
+        """Draw sentences, charts and tables of what was measured and of the commands."""
+        parts: list[Part] = []
         results, profile = self.workspace.results, self.workspace.profile
         if results is not None and (verify := results.verify) is not None:
             arms = {} if results.calibrate is None else results.calibrate.arms

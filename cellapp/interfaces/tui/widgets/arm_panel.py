@@ -96,23 +96,6 @@ def _numbers(values: Sequence[float] | None, unit: str, width: int) -> str:
     return with_decimal if len(with_decimal) <= width else " ".join(f"{value:4.0f}" for value in values) + f" {unit}"
 
 
-class TrackerPanel(Widget):
-    """The arm at which the tracker points, the newest point with its uncertainty, the air."""
-
-    tracker: reactive[TrackerRecord] = reactive(TrackerRecord)
-
-    def __init__(self) -> None:
-        super().__init__(classes="tracker")
-        self.tooltip = (
-            "The tracker: the arm at which it points; the newest point in the tracker frame and its standard"
-            " uncertainty; the air."
-        )
-
-    def render(self) -> Content:
-        """Return the line of the tracker."""
-        return Content.assemble(("tracker", "bold"), " ", tracker_words(self.tracker))
-
-
 def tracker_words(tracker: TrackerRecord) -> str:
     """Return arm, newest point [mm], uncertainty [mm] and air in one line; during a sweep, its progress."""
     if tracker.sweep is not None:
@@ -158,10 +141,11 @@ class LiveStrip(Vertical):
 
     def show(self, live: CellLive | None, unseen: Mapping[str, str]) -> None:
         """Draw the state, and the arms that the run counts as moving, arm -> why."""
-        banner, parts = banner_of(live, unseen), () if live is None else tuple(strip_of(live))
-        self.query_one(".banner", Line).say(
-            "" if banner is None else "\n".join([banner.words, *banner.causes[:2]]),
-            "banner" if banner is None else f"banner shown{' alarm' if banner.alarm else ''}",
-        )
-        ages = Content("   ").join(Content.styled(part.text, _STRIP_STYLES[part.look]) for part in parts)
+        line, parts = self.query_one(".banner", Line), [] if live is None else strip_of(live)
+        if (banner := banner_of(live, unseen)) is None:
+            line.say("", "banner")
+        else:
+            words, causes, alarm = banner
+            line.say("\n".join([words, *causes[:2]]), f"banner shown{' alarm' if alarm else ''}")
+        ages = Content("   ").join(Content.styled(text, _STRIP_STYLES[look]) for text, look in parts)
         self.query_one(".ages", Line).say(ages, "ages shown" if parts else "ages")

@@ -8,7 +8,7 @@ from textual import on
 from textual.app import ComposeResult
 from textual.binding import BindingType
 from textual.containers import Vertical
-from textual.message import Message
+from textual.reactive import var
 from textual.widgets import DataTable, Static
 
 from cellapp.commands.collect.result import CollectedStop, CollectionResult
@@ -27,8 +27,8 @@ class CollectedStops(Vertical):
         bind("mark", "mark", "Mark", "mark the stop, both arms: {again} measures marked stops again".format_map(SHOWN)),
     ]
 
-    class Chosen(Message):
-        """The cursor moved to another stop."""
+    chosen: var[CollectedStop | None] = var(None)
+    """The stop under the cursor."""
 
     def __init__(self, *, id: str) -> None:
         super().__init__(id=id)
@@ -38,7 +38,6 @@ class CollectedStops(Vertical):
         self._only_suspicious = False
         self._run = ""
         self._marked: dict[int, int] = {}  # stop -> how many of its readings were replaced when it was marked
-        self.chosen: CollectedStop | None = None
 
     def compose(self) -> ComposeResult:
         yield Static("", markup=False)
@@ -91,11 +90,8 @@ class CollectedStops(Vertical):
     def choose(self, event: DataTable.RowHighlighted) -> None:
         """Note that the cursor is on another stop."""
         event.stop()
-        row = event.cursor_row
-        chosen = self._shown[row] if row < len(self._shown) else None
-        if chosen is not None and chosen != self.chosen:
-            self.chosen = chosen
-            self.post_message(self.Chosen())
+        if event.cursor_row < len(self._shown):
+            self.chosen = self._shown[event.cursor_row]
 
     def _replaced(self, stop: int) -> int:
         """Return how many readings of a stop were replaced; the number grows when it is measured again."""

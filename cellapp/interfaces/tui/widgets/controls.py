@@ -15,8 +15,7 @@ from dataclasses import dataclass
 from typing import cast
 
 from rich.cells import cell_len
-from textual.app import ComposeResult
-from textual.containers import Container, Horizontal
+from textual.containers import Horizontal
 from textual.content import Content
 from textual.events import Click, Mount
 from textual.screen import Screen
@@ -67,13 +66,6 @@ class StopButton(Static):
     def on_click(self, event: Click) -> None:
         """Consume the click of a handled press: a dialog below must not get it."""
         event.stop()
-
-
-class StopCorner(Container):
-    """The corner of a dialog with STOP, at the same position as on all screens."""
-
-    def compose(self) -> ComposeResult:
-        yield StopButton()
 
 
 class Labelled(Horizontal):

@@ -7,20 +7,14 @@ from collections.abc import Mapping
 from rich.cells import cell_len
 from textual.app import ComposeResult
 from textual.containers import Horizontal
-from textual.message import Message
 
-from cellapp.interfaces.tui.job_record import JobRecord
 from cellapp.interfaces.tui.run_state import SIGNS, Mark, RunState
 from cellapp.interfaces.tui.screens import SCREENS
 from cellapp.interfaces.tui.widgets.controls import Line, StopButton
 from cellapp.interfaces.tui.workspace import Step
 
-_BADGES: Mapping[str, str] = {
-    "none": " NO ARMS ",
-    "simulated": " SIMULATED ",
-    "emulated": " EMULATED ",
-    "real": " REAL ARMS ",
-}
+_BADGES: Mapping[str, str] = {"none": "NO ARMS", "real": "REAL ARMS"}
+"""Badge of a kind of cell, if it is not the kind itself."""
 
 
 class DayHeader(Horizontal):
@@ -32,17 +26,18 @@ class DayHeader(Horizontal):
         yield Line(classes="job")
         yield StopButton()
 
-    def show(self, state: RunState, kind: str, record: JobRecord) -> None:
-        """Draw the open run and the running job; ``kind`` is that of the cell's arms."""
-        job = state.job
-        watched = job is not None and job.watched
-        words = ""
-        if record.state is not None:  # the bars say how far it is
-            words = record.name if record.state == "running" else f"{record.name} {record.state.upper()}"
-        self.query_one(".badge", Line).say(f" WATCHED ·{_BADGES[kind]}" if watched else _BADGES[kind], f"badge {kind}")
+    def show(self, state: RunState) -> None:
+        """Draw the open run and the running job."""
+        job, kind, words = state.job, state.workspace.kind, ""
+        badge = f" {_BADGES.get(kind, kind.upper())} "
+        if job is not None and job.watched:
+            badge = f" WATCHED ·{badge}"
+        if job is not None:  # the bars say how far it is
+            words = job.name if job.state == "running" else f"{job.name} {job.state.upper()}"
+        self.query_one(".badge", Line).say(badge, f"badge {kind}")
         self.query_one(".where", Line).say(state.where)
         line = self.query_one(".job", Line)
-        line.say(words, f"job {record.state or 'idle'}")
+        line.say(words, f"job {'idle' if job is None else job.state}")
         line.styles.width = cell_len(words) + 2  # set explicitly: its container does not always ask again
         self.set_class(job is not None, "running")
         self.set_class(kind == "real", "real")
@@ -64,13 +59,6 @@ class StepLine(Horizontal):
 class StepTab(Line):
     """One step; a click shows its screen."""
 
-    class Chosen(Message):
-        """The screen of a step is requested."""
-
-        def __init__(self, step: Step) -> None:
-            super().__init__()
-            self.step = step
-
     def __init__(self, step: Step) -> None:
         super().__init__(classes="step")
         self.step: Step = step
@@ -83,6 +71,6 @@ class StepTab(Line):
         self.say(text, " ".join([*classes, *(["present"] if present else [])]))
         self.tooltip = f"{self._entry.title}: {self._entry.purpose}; {mark.words}. Key {self._entry.key}."
 
-    def on_click(self) -> None:
+    async def on_click(self) -> None:
         """Show the screen."""
-        self.post_message(self.Chosen(self.step))
+        await self.run_action(f"app.show('{self.step}')")

@@ -9,7 +9,6 @@ from textual.geometry import Size
 from textual.widget import Widget
 from textual.widgets import Static
 
-from cellapp.commands.view.charts import Chart
 from cellapp.commands.view.parts import Facts, Part, Parts, Section, printed
 from cellapp.commands.view.table import Table
 from cellapp.interfaces.tui.keys import with_keys
@@ -47,6 +46,8 @@ class PartsView(VerticalScroll):
 
     def show(self, parts: Parts, before: Iterable[str] = ()) -> None:
         """Replace the content by the parts of a view; ``before`` are marks above them."""
+        from cellapp.commands.view.charts import Chart  # late: numerics, which the start must not wait for
+
         shown = (*before, *parts)
         lines = tuple(printed(shown))
         if lines == self._lines and not any(isinstance(one, Chart) for one in shown):
@@ -85,7 +86,8 @@ def words_first(parts: Parts) -> list[Part]:
 
 def widgets_of(parts: Parts) -> Iterator[Widget]:
     """Yield the widgets of parts in reading order on a screen; all charts of a section where its first one is."""
-    from cellapp.interfaces.render.terminal import rich_table  # late: tables are shown after the start
+    from cellapp.commands.view.charts import Chart  # late: tables and charts are shown after the start
+    from cellapp.interfaces.render.terminal import rich_table
 
     charts = [part for part in parts if isinstance(part, Chart)]
     for part in parts:

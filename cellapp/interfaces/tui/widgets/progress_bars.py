@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
 from datetime import datetime, timedelta
 
 from textual.content import Content
@@ -22,32 +20,20 @@ _TALL = 50
 """Smallest number of lines of a terminal with one line for each part."""
 
 
-@dataclass(frozen=True)
-class Part:
-    """One part of a job; ``progress``, None before it begins, was heard at ``heard_s`` [s, monotonic].
-
-    ``waits``: the job is paused, suspended or stopped.
-    """
-
-    name: str
-    progress: Progress | None = None
-    heard_s: float = 0.0
-    waits: bool = False
-
-    def remaining_s(self, now_s: float) -> float | None:
-        """Return the remaining time: the estimate minus its age; None if the job waits."""
-        if self.progress is None or not self.progress.eta_s or self.waits:
-            return None
-        return self.progress.eta_s - (now_s - self.heard_s)
-
-
-def parts_of(record: JobRecord) -> tuple[Part, ...]:
+def parts_of(record: JobRecord) -> list[str]:
     """Return the parts of a job in the order of the day, and the present one; of a whole day, also those to come."""
     names = dict.fromkeys(name for name in WHOLE_DAY if name in record.progress or record.name == "run")
     if record.latest is not None:  # of the others only the present one: candidates of a plan are no part of a day
         names.setdefault(record.latest.job)
-    waits = record.state not in ("running", "pausing")
-    return tuple(Part(name, record.progress.get(name), record.heard_s.get(name, 0.0), waits) for name in names)
+    return [*names]
+
+
+def remaining_s(record: JobRecord, part: str, now_s: float) -> float | None:
+    """Return the remaining time of a part: the estimate minus its age; None if there is none, or the job waits."""
+    eta_s = record.progress[part].eta_s
+    if not eta_s or record.state not in ("running", "pausing"):
+        return None
+    return eta_s - (now_s - record.heard_s[part])
 
 
 def ending_words(eta_s: float | None, now: datetime) -> str:
@@ -70,39 +56,39 @@ class ProgressBars(Line):
 
     def show(self, record: JobRecord) -> None:
         """Draw the parts of the current job; nothing without one."""
-        parts = parts_of(record) if record.state is not None else ()
-        self.display = bool(parts)
-        self.say(bars_of(parts, self.screen.size.width - 2, compact=self.app.size.height < _TALL))
+        self.display = record.state is not None and bool(parts_of(record))
+        self.say(bars_of(record, self.screen.size.width - 2, compact=self.app.size.height < _TALL))
 
 
-def bars_of(parts: Sequence[Part], width: int, *, compact: bool) -> Content:
+def bars_of(record: JobRecord, width: int, *, compact: bool) -> Content:
     """Return the lines of the parts; if ``compact``, that of the present one with its number."""
-    now, begun = datetime.now(), [part for part in parts if part.progress is not None]
+    parts, now = parts_of(record), datetime.now()
+    begun = [part for part in parts if part in record.progress]
     if not compact or not begun:
-        return Content("\n").join([_line(part, width, now) for part in parts])
-    present = next((part for part in reversed(begun) if not _done(part)), begun[-1])
+        return Content("\n").join([_line(record, part, width, now) for part in parts])
+    present = next((part for part in reversed(begun) if not _done(record.progress[part])), begun[-1])
     which = f"  part {parts.index(present) + 1} of {len(parts)}" if len(parts) > 1 else ""
-    return Content.assemble(_line(present, width - len(which), now), (which, "$text-muted"))
+    return Content.assemble(_line(record, present, width - len(which), now), (which, "$text-muted"))
 
 
-def _done(part: Part) -> bool:
-    return part.progress is not None and part.progress.done >= part.progress.total
+def _done(progress: Progress) -> bool:
+    return progress.done >= progress.total
 
 
-def _line(part: Part, width: int, now: datetime) -> Content:
+def _line(record: JobRecord, part: str, width: int, now: datetime) -> Content:
     """Return name, bar, count, remaining time, note; what does not fit is omitted from the end."""
-    progress = part.progress
+    progress = record.progress.get(part)
     if progress is None:
-        return Content.assemble((f"{part.name:<{_NAME}}", "$text-muted"), ("to come", "$text-muted"))
-    count = f"{progress.done}/{progress.total}"
+        return Content.assemble((f"{part:<{_NAME}}to come", "$text-muted"))
+    count, done = f"{progress.done}/{progress.total}", _done(progress)
     length = max(min(_WIDEST_BAR, (width - _NAME - _COUNT) // 3), 6)
-    filled = length if _done(part) else int(length * progress.done / max(progress.total, 1))
-    ending = "" if _done(part) else ending_words(part.remaining_s(time.monotonic()), now)
+    filled = length if done else int(length * progress.done / max(progress.total, 1))
+    ending = "" if done else ending_words(remaining_s(record, part, time.monotonic()), now)
     words = " · ".join(word for word in (ending, progress.note) if word)
     room = max(width - _NAME - length - _COUNT - 2, 0)
     return Content.assemble(
-        (f"{part.name:<{_NAME}}", "bold"),
-        ("━" * filled, "$success" if _done(part) else "$primary"),
+        (f"{part:<{_NAME}}", "bold"),
+        ("━" * filled, "$success" if done else "$primary"),
         ("─" * (length - filled), "$text-muted"),
         f" {count:>{_COUNT}} ",
         words if len(words) <= room else words[: max(room - 1, 0)] + "…",

@@ -19,8 +19,7 @@ from textual.worker import get_current_worker
 
 from cellapp.commands.report.request import VERB as REPORT
 from cellapp.commands.runs.result import RunsResult
-from cellapp.commands.runs.view import run_cells, run_columns, run_lines, runs_sentences
-from cellapp.commands.view.table import Table, columns_of
+from cellapp.commands.runs.view import run_lines, runs_sentences, runs_table
 from cellapp.ground.errors import CellappError
 from cellapp.interfaces.tui import verb_jobs as jobs_of_verbs
 from cellapp.interfaces.tui.host import Host
@@ -32,7 +31,6 @@ if TYPE_CHECKING:
     from cellapp.commands.runs.result import RunSummary
 
 
-_OPEN = "▸"
 _READING = "reading the folder of runs ..."
 
 
@@ -82,32 +80,24 @@ class RunsList(Vertical):
     def _list_runs(self, folder: Path) -> None:
         from cellapp.commands.runs.run import list_runs
 
-        found: RunsResult | str
         try:
             found = list_runs(folder) if os.path.isdir(folder) else RunsResult(folder=str(folder), runs=())
         except CellappError as error:
-            found = str(error)
+            self.call_later(self._host.say, str(error), "error")
+            return
         if not get_current_worker().is_cancelled:  # else a later reading is in progress
             self.call_later(self._show_list, found)
 
-    def _show_list(self, found: RunsResult | str) -> None:
-        """Draw the list."""
-        if isinstance(found, str):
-            self._host.say(found, "error")
-            return
+    def _show_list(self, found: RunsResult) -> None:
+        """Draw the list; the cursor stays on its run, and the open one is marked."""
         present = self._run
         self._found = found
-        self._draw(present)
+        row = next((row for row, run in enumerate(found.runs) if present is not None and run.run == present.run), 0)
+        opened = [row for row, run in enumerate(found.runs) if self._is_open(run)]
+        self._table.show(runs_table(found), row, opened)
+        self._draw_about()
 
     # -- drawing -------------------------------------------------------------------------------------------------------
-
-    def _draw(self, present: RunSummary | None) -> None:
-        """Draw the rows; the cursor stays on its run."""
-        runs, columns = self._found.runs, run_columns(self._found.folder)
-        rows = tuple((_OPEN if self._is_open(run) else " ", *run_cells(run, columns)) for run in runs)
-        row = next((row for row, run in enumerate(runs) if present is not None and run.run == present.run), 0)
-        self._table.show(Table("Runs", columns_of(" ", *columns), rows), row)
-        self._draw_about()
 
     def _is_open(self, run: RunSummary) -> bool:
         return Path(run.run) == self._host.workspace.folder

@@ -1,4 +1,4 @@
-"""Tables with a cursor, the map of the cell, and functions for screens with tabs."""
+"""Tables with a cursor, and the map of the cell."""
 
 from __future__ import annotations
 
@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Literal
 
 from rich.text import Text
 from textual import work
-from textual.widgets import DataTable, TabbedContent, Tabs
+from textual.widgets import DataTable
 from textual.worker import get_current_worker
 
-from cellapp.commands.docs.keys import SHOWN
 from cellapp.commands.view.table import Table
 from cellapp.interfaces.tui.widgets.chart_plot import ChartPlot
 
@@ -66,14 +65,6 @@ class TextTable(DataTable[Text]):
     def watch_virtual_size(self) -> None:
         """Redraw all cells with the columns' current widths."""
         self.notify_style_update()
-
-
-# -- Functions for screens with tabs ----------------------------------------------------------------------------------
-
-
-def explain_tabs(tabs: TabbedContent) -> None:
-    """Set a tooltip that explains the tabs."""
-    tabs.query_one(Tabs).tooltip = f"Left and right choose a tab; {SHOWN['tab']} shows the next one"
 
 
 class CellMap(ChartPlot):
