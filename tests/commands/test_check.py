@@ -221,6 +221,12 @@ def test_a_changed_arm_is_still_a_prior(arm_changed: tuple[RunFile, CheckResult]
         assert set(earlier_arms(new, run.folder)) == {"left", "right"}
 
 
+def test_a_run_whose_tracker_was_located_is_a_prior_by_the_model_of_its_readings(run: RunFile, tmp_path: Path) -> None:
+    locate_run(run)
+    with RunFile.create(tmp_path / "new", run.profile) as new:
+        assert earlier_arms(new, run.folder)["left"].stage == "discover"
+
+
 def test_a_model_that_is_out_of_date_is_checked_and_said_to_be(run: RunFile) -> None:
     swap_splits(run)
     found = check_run(run)

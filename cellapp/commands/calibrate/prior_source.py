@@ -11,7 +11,7 @@ import numpy as np
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.run_arms import recorded_controllers
 from cellapp.commands.stages import PriorBasis, StoredStage, earlier_digest, read_stages
-from cellapp.commands.stored_model import model_of, stage_in_force
+from cellapp.commands.stored_model import arms_stage, model_of
 from cellapp.estimation.calibration.quantities import ArmReadings
 from cellapp.estimation.calibration.records import ArmPriorResult, CalibrateResult
 from cellapp.estimation.prior.belief import Belief
@@ -42,7 +42,7 @@ def earlier_arms(run: RunFile, folder: Path) -> dict[str, Earlier]:
         raise InputError(f"--prior {folder}: this is the same run; give the folder of an earlier one")
     with RunFile.open(folder) as earlier:
         stages = read_stages(earlier)
-        stage = stage_in_force(earlier, stages)
+        stage = arms_stage(earlier, stages)
         if stale := stages.outdated_arms():  # an arm that changed since is no reason: a prior is for that
             raise InputError(f"--prior {folder}: {stale}; run '{stages.next_step(folder)}' first")
         if all(_same_readings(run, earlier, name) for name in run.profile.arms):
@@ -116,7 +116,7 @@ def _believed(run: RunFile, stage: StoredStage, name: str, depth: int) -> tuple[
     if depth >= _MOST_EARLIER:
         raise InputError(f"{run.folder}: more than {_MOST_EARLIER} earlier runs in a row")
     with open_recorded(run, record) as earlier:
-        before, _ = _believed(earlier, stage_in_force(earlier, read_stages(earlier)), name, depth + 1)
+        before, _ = _believed(earlier, arms_stage(earlier, read_stages(earlier)), name, depth + 1)
     return believed(arm, before, record.since)
 
 

@@ -51,13 +51,16 @@ def cholesky(gram: Array) -> Array | None:
 
 def solve_psd(gram: Array, rhs: Array) -> Array:
     """``gram^-1 rhs`` for ``rhs`` (p,) or (p, r); the solution of least norm where ``gram`` (p, p) is singular."""
-    if not rhs.size:  # LAPACK refuses it
-        return np.zeros(rhs.shape)
+    return solver_psd(gram)(rhs) if rhs.size else np.zeros(rhs.shape)  # LAPACK refuses an empty one
+
+
+def solver_psd(gram: Array) -> Callable[[Array], Array]:
+    """Return ``solve_psd`` with ``gram`` (p, p), factored once, as a function of what is not empty."""
     factor = cholesky(gram)
     if factor is not None:
-        return np.asarray(scipy.linalg.lapack.dpotrs(factor, rhs, lower=1)[0])
+        return lambda rhs: np.asarray(scipy.linalg.lapack.dpotrs(factor, rhs, lower=1)[0])
     values, vectors = _significant(gram)
-    return np.asarray((vectors / values) @ (vectors.T @ rhs))
+    return lambda rhs: np.asarray((vectors / values) @ (vectors.T @ rhs))
 
 
 def inverse_psd(gram: Array) -> Array:

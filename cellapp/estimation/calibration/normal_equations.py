@@ -21,8 +21,8 @@ from cellapp.robot.effects.context import EffectColumn
 from cellapp.robot.kinematics.chain import Geometry, JointAngles, joint_jacobian
 from cellapp.robot.kinematics.transforms import Array
 
-_CHUNK = 2048
-"""Configurations per chunk: the Jacobian of one chunk (3 x 40 x 2048 floats, 2 MB) fits into the CPU cache."""
+_CHUNK = 512
+"""Configurations per chunk: the Jacobian of one chunk (3 x 40 x 512 floats, 0.5 MB) stays in the cache of a core."""
 
 
 _LEAST_PRIOR = 1e-9

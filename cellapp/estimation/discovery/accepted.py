@@ -100,7 +100,7 @@ def model_without(found: SearchResult, out: Collection[int]) -> ArmModel:
     values = np.concatenate([deviation, fit.identification.effect_values])
     residual = fit.residual + sum(fit.signal(number) for number in out)
     residual = fit.rows[kept] @ residual - (fit.precision * values)[kept]
-    values[kept] += fit.normal.take(kept).with_priors(fit.precision[kept]).solve(residual)
+    values[kept] += fit.normal.take(kept).solver(fit.precision[kept])(residual)
     effects = tuple(
         replace(effect, values=values[fit.layout.parameters(other)])
         for other, effect in enumerate(fit.model.effects)
@@ -363,34 +363,25 @@ _BAND = (0.1, 0.9)
 def dominant_cycles(columns: Sequence[EffectColumn], values: Array, covariance: Array) -> dict[str, CycleBand]:
     """Return the dominant cycles per revolution by joint (key: its number), from wave columns with values (m,) [rad].
 
-    ``covariance`` (m, m) of the values gives the standard error of each joint's rms.
+    ``covariance`` (m, m) of the values gives the standard error of each joint's rms: rms^2 is half the sum of the
+    squared coefficients.
     """
-    power: dict[int, dict[int, float]] = {}
-    for column, value in zip(columns, values.tolist(), strict=True):
-        if column.cycles is not None and column.joint is not None:
-            of_joint = power.setdefault(column.joint, {})
-            of_joint[column.cycles] = of_joint.get(column.cycles, 0.0) + 0.5 * value**2
-    found = {joint: _band(power[joint]) for joint in sorted(power) if any(power[joint].values())}
-    return {str(n + 1): _with_error(band, n, columns, values, covariance) for n, band in found.items()}
-
-
-def _with_error(
-    band: CycleBand, joint: int, columns: Sequence[EffectColumn], values: Array, covariance: Array
-) -> CycleBand:
-    """Add to the band the standard error of its rms; rms^2 is half the sum of the squared coefficients."""
-    own = np.array([column.cycles is not None and column.joint == joint for column in columns])
-    gradient = np.where(own, values, 0.0) / (2e-6 * band.rms_urad)
-    error = math.sqrt(max(float(gradient @ covariance @ gradient), 0.0))
-    return band.model_copy(update={"rms_standard_error_urad": error * 1e6})
-
-
-def _band(power: dict[int, float]) -> CycleBand:
-    counts = sorted(power)
-    each = np.array([power[count] for count in counts])
-    share = np.cumsum(each) / each.sum()
-    first, last = (counts[min(int(np.searchsorted(share, at)), len(counts) - 1)] for at in _BAND)
-    rms = float(np.sqrt(each.sum()))
-    return CycleBand(first=first, last=last, peak=counts[int(np.argmax(each))], rms_urad=rms * 1e6)
+    joints = np.array([-1 if column.cycles is None or column.joint is None else column.joint for column in columns])
+    cycles, found = np.array([column.cycles or 0 for column in columns]), {}
+    for joint in np.unique(joints[(joints >= 0) & (values != 0.0)]).tolist():
+        own = np.where(joints == joint, values, 0.0)
+        power = np.bincount(cycles, 0.5 * own**2)
+        rms = float(np.sqrt(power.sum()))
+        first, last = np.searchsorted(np.cumsum(power) / power.sum(), _BAND).tolist()
+        error = math.sqrt(max(float(own @ covariance @ own), 0.0)) / (2.0 * rms)
+        found[str(joint + 1)] = CycleBand(
+            first=first,
+            last=min(last, len(power) - 1),
+            peak=int(np.argmax(power)),
+            rms_urad=rms * 1e6,
+            rms_standard_error_urad=error * 1e6,
+        )
+    return found
 
 
 # -- Pictures of a fit: each term's partial residuals in its own place, against the variable of the term ------------

@@ -7,7 +7,7 @@ parameters and to those of the terms. The residual y and these rows are the line
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -23,7 +23,7 @@ from cellapp.estimation.calibration.least_squares import (
     inverse_psd,
     mean_variance,
     readings_noise,
-    solve_psd,
+    solver_psd,
     with_excess,
 )
 from cellapp.estimation.calibration.normal_equations import EffectColumns
@@ -115,15 +115,19 @@ class NormalMatrix:
         scale = self.scale
         return inverse_psd(self._scaled(precision, scale)) * (scale[:, None] * scale)
 
-    def with_priors(self, precision: Array, scale: Array | None = None) -> Factored:
-        """Return what solves X^T X + P for prior precisions (p,); X^T X itself is not kept.
+    def solver(self, precision: Array, scale: Array | None = None) -> Callable[[Array], Array]:
+        """Return ``(X^T X + P)^-1`` for prior precisions (p,), as a function of (p,) or (p, r); X^T X is not kept.
 
         For a subset of the readings pass the ``scale`` of all: what it does not determine is then zero up to rounding.
         """
-        scale = self.scale if scale is None else scale
-        scaled = self._scaled(precision, scale)
-        factor = cholesky(scaled)
-        return Factored(scaled if factor is None else factor, scale, is_factor=factor is not None)
+        unit = self.scale if scale is None else scale
+        solve_scaled = solver_psd(self._scaled(precision, unit))
+
+        def solve(rhs: Array) -> Array:
+            own = unit if rhs.ndim == 1 else unit[:, None]
+            return np.asarray(own * solve_scaled(own * rhs))
+
+        return solve
 
     def _scaled(self, precision: Array, scale: Array) -> Array:
         """Return X^T X + P with each parameter in its scale (p,), which makes them comparable."""
@@ -149,22 +153,6 @@ class NormalMatrix:
             self.square - float(moment @ inverse @ moment),
             self.coordinates - (flat - float(np.sum(precision * np.diag(inverse)))),
         )
-
-
-@dataclass(frozen=True, eq=False)
-class Factored:
-    """X^T X + P, each parameter in its ``scale`` (p,): its Cholesky factor (p, p), or itself if that is inaccurate."""
-
-    matrix: Array
-    scale: Array
-    is_factor: bool
-
-    def solve(self, rhs: Array) -> Array:
-        """``(X^T X + P)^-1 rhs`` for (p,) or (p, r)."""
-        scale = self.scale if rhs.ndim == 1 else self.scale[:, None]
-        if not self.is_factor:
-            return np.asarray(scale * solve_psd(self.matrix, scale * rhs))
-        return np.asarray(scale * scipy.linalg.lapack.dpotrs(self.matrix, scale * rhs, lower=1)[0])
 
 
 # -- Share of a residual explained by columns in the complement of a model's parameters: R^2 and gain of the BIC ------
@@ -372,7 +360,7 @@ class JointFit:
         kept, signal = self.layout.all_but(term), self.signal(term)
         others = self.rows[kept]
         # one linear solution: a projector of hundreds of smooth columns costs ten times as much
-        values = self.normal.take(kept).with_priors(self.precision[kept]).solve(others @ signal)
+        values = self.normal.take(kept).solver(self.precision[kept])(others @ signal)
         return float(np.sum((signal - values @ others) ** 2))
 
     def without_columns(self, terms: Collection[int]) -> JointFit:
@@ -674,7 +662,7 @@ def left_out_in_sd(data: ArmData, fit: JointFit) -> Array:
     scaled = np.empty(len(fit.residual))
     for one in _folds(fit, _fold_numbers(data)):
         rows = fit.rows[:, one.out]
-        scaled[one.out] = one.residual / np.sqrt(1.0 + np.einsum("pk,pk->k", rows, one.learnt.solve(rows)))
+        scaled[one.out] = one.residual / np.sqrt(1.0 + np.einsum("pk,pk->k", rows, one.solve(rows)))
     return scaled
 
 
@@ -693,7 +681,7 @@ def _left_out(fit: JointFit, new_rows: Array, fold: NDArray[np.intp]) -> Iterato
         learnt = ~one.out
         B = new[:, learnt]
         cross, gram = with_fit - fit.rows[:, one.out] @ new[:, one.out].T, B @ B.T
-        taken = one.learnt.solve(cross)
+        taken = one.solve(cross)
         factor = cholesky(gram - cross.T @ taken)
         if factor is None or not (factor.diagonal() > PIVOT * np.sqrt(gram.diagonal())).all():
             # the new columns are not independent of each other or of the fit
@@ -701,7 +689,7 @@ def _left_out(fit: JointFit, new_rows: Array, fold: NDArray[np.intp]) -> Iterato
             precision = np.concatenate([fit.precision, np.zeros(len(new))])
             of_all = np.concatenate([fit.normal.scale, np.ones(len(new))])
             normal = NormalMatrix.of(rows[:, learnt], target[learnt])
-            solution = normal.with_priors(precision, of_all).solve(normal.moment)
+            solution = normal.solver(precision, of_all)(normal.moment)
             yield one.residual, target[one.out] - solution @ rows[:, one.out]
             continue
         moment = B @ target[learnt] - taken.T @ one.moment
@@ -713,11 +701,11 @@ def _left_out(fit: JointFit, new_rows: Array, fold: NDArray[np.intp]) -> Iterato
 class _Fold:
     """A fit without the readings of one fold: the mask ``out`` (3 n,) of these, and their residuals ``residual``.
 
-    ``learnt`` and ``moment`` are its factored equations: one matrix a fold, not three.
+    ``solve`` and ``moment`` are its factored equations: one matrix a fold, not three.
     """
 
     out: NDArray[np.bool_]
-    learnt: Factored
+    solve: Callable[[Array], Array]
     moment: Array
     residual: Array
 
@@ -731,9 +719,9 @@ def _folds(fit: JointFit, fold: NDArray[np.intp]) -> list[_Fold]:
         for number in range(int(fold.max()) + 1):
             out = fold == number
             normal = whole - NormalMatrix.of(rows[:, out], target[out])
-            learnt = normal.with_priors(fit.precision, whole.scale)
-            residual = target[out] - learnt.solve(normal.moment) @ rows[:, out]
-            found.append(_Fold(out, learnt, normal.moment, residual))
+            solve = normal.solver(fit.precision, whole.scale)
+            residual = target[out] - solve(normal.moment) @ rows[:, out]
+            found.append(_Fold(out, solve, normal.moment, residual))
         fit.derived[key] = found
     kept: list[_Fold] = fit.derived[key]
     return kept

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.least_squares import LeastSquares
 from cellapp.estimation.calibration.station_location import FEWEST_POINTS, small_motion
-from cellapp.estimation.monitoring.belief import CheckBelief
+from cellapp.estimation.monitoring.belief import FALSE_ALARM, CheckBelief
 from cellapp.estimation.monitoring.linear import Alternative, Changing, Moments, StopRows, centre_of, spanned, twists
 from cellapp.estimation.prior.update import SURE
 from cellapp.robot.kinematics.transforms import Array, apply, invert, register, rotation_vectors
@@ -193,8 +193,8 @@ class Design:
         Rms motion by one step beside a moved tracker [m], see ``visibility``.
     visible : array, shape (C,)
         Mask of the directions that have a visible size.
-    false_alarm, miss : float
-        Probabilities of a false alarm, and of calling a visible change valid.
+    false_alarm : float
+        Probability of a false alarm.
     """
 
     belief: CheckBelief
@@ -204,8 +204,7 @@ class Design:
     steps: Array
     moved_m: Array
     visible: NDArray[np.bool_]
-    false_alarm: float
-    miss: float
+    false_alarm: float = FALSE_ALARM
 
     @property
     def early_alarm(self) -> float:
@@ -216,11 +215,6 @@ class Design:
     def last_alarm(self) -> float:
         """Probability of a false alarm by the test after the last stop."""
         return (1.0 - SPENT_EARLY) * self.false_alarm
-
-    @property
-    def early_miss(self) -> float:
-        """Probability of calling a visible change valid by the evaluations after every stop."""
-        return SPENT_EARLY * self.miss
 
     def name_of(self, one: Alternative) -> str:
         """Return the name of a change for people, with its arm if the cell has several."""

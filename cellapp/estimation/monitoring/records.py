@@ -116,8 +116,6 @@ class CheckResult(Result, schema="cellapp-check"):
         Chance of errors as large if nothing has changed.
     false_alarm, miss : float
         Chances that the test was set for: of a change where there is none, of missing a visible one.
-    sure_change, sure_valid : float or None
-        ``log_evidence`` and ``log_valid`` at which the test is sure before the last stop.
     arms : mapping
     changes : tuple of FoundChange
         The most evident first.
@@ -150,8 +148,6 @@ class CheckResult(Result, schema="cellapp-check"):
     p_value: float
     false_alarm: float = 0.01
     miss: float = 0.05
-    sure_change: float | None = None
-    sure_valid: float | None = None
     arms: Mapping[str, CheckedArm]
     changes: tuple[FoundChange, ...] = ()
     weak: tuple[WeakChange, ...] = ()

@@ -11,7 +11,6 @@ import scipy
 from numpy.typing import NDArray
 
 from cellapp.estimation.monitoring.belief import (
-    FALSE_ALARM,
     MISS,
     MOST_STEPS,
     VISIBLE,
@@ -21,6 +20,7 @@ from cellapp.estimation.monitoring.belief import (
 )
 from cellapp.estimation.monitoring.causes import (
     NOT_EXPLAINED,
+    SPENT_EARLY,
     Cause,
     Design,
     Explanation,
@@ -112,12 +112,12 @@ _MOST_NEEDED = 1e4
 """Upper bound of the search for a non-centrality: a hundred standard errors, above any that is needed."""
 
 
-def _needed(critical: float, rank: int, miss: float) -> float:
-    """Find the non-centrality at which a test of ``rank`` parameters misses a change with probability ``miss``."""
+def _needed(critical: float, rank: int) -> float:
+    """Find the non-centrality at which a test of ``rank`` parameters misses a change with probability ``MISS``."""
     limit = float(scipy.special.chdtri(rank, critical))
 
     def surplus(size: float) -> float:
-        return float(scipy.special.chndtr(limit, rank, size)) - miss
+        return float(scipy.special.chndtr(limit, rank, size)) - MISS
 
     return float(scipy.optimize.brentq(surplus, 1e-6, _MOST_NEEDED))
 
@@ -135,9 +135,7 @@ def concluded(design: Design, stops: StopRows, state: SequentialState, planned: 
         sure_after=state.stops,
         p_value=test.corrected(test.least(moments)),
         false_alarm=design.false_alarm,
-        miss=design.miss,
-        sure_change=-math.log(design.early_alarm),
-        sure_valid=-math.log(design.early_miss),
+        miss=MISS,
         changes=tuple(_change(design, one) for one in found.causes),
         arms=_checked(design, stops, found.causes, verdict != "not explained" and stray is None),
         station_shift_mm=None if T is None else float(np.linalg.norm(T[:3, 3])) * 1e3,
@@ -205,9 +203,9 @@ def _weak(design: Design, moments: Moments) -> dict[int, WeakChange]:
     """
     critical = MinPValueTest.of(moments, design.alternatives).critical(design.last_alarm)
     rank = {k: len(one.members) for one in design.alternatives for k in one.members}
-    needed = {r: _needed(critical, r, design.miss) for r in {1, *rank.values()}}
+    needed = {r: _needed(critical, r) for r in {1, *rank.values()}}
     information = moments.information
-    ruled_out = 0.5 * information - np.abs(moments.moment) >= -math.log(design.miss)
+    ruled_out = 0.5 * information - np.abs(moments.moment) >= -math.log(MISS)
     found = {}
     for k in np.flatnonzero(design.visible & ~ruled_out).tolist():
         one, more = design.directions[k], math.sqrt(needed[rank.get(k, 1)] / max(information[k], _LEAST_INFORMATION))
@@ -412,7 +410,7 @@ def design_of(belief: CheckBelief) -> Design:
     directions = tuple(replace(one, step=one.step * size) for one, size in zip(least, steps.tolist(), strict=True))
     alternatives = tuple(alternatives_of(directions))
     motions = {name: its * steps[:, None, None] for name, its in motions.items()}
-    return Design(belief, directions, alternatives, motions, steps, moved * steps, visible, FALSE_ALARM, MISS)
+    return Design(belief, directions, alternatives, motions, steps, moved * steps, visible)
 
 
 def judged(design: Design, stops: StopRows, planned: int, before: SequentialState = NOTHING_YET) -> SequentialState:
@@ -422,7 +420,7 @@ def judged(design: Design, stops: StopRows, planned: int, before: SequentialStat
     least, early_valid = test.least(moments), log_valid(moments, design.alternatives, design.visible)
     evidence = -math.log(min(max(test.bound(least) * planned, 1e-300), 1.0))
     changed = before.changed or evidence >= -math.log(design.early_alarm)
-    valid = not changed and early_valid >= -math.log(design.early_miss)
+    valid = not changed and early_valid >= -math.log(SPENT_EARLY * MISS)
     if not changed and not valid and count >= planned:
         changed = test.significant(least, design.last_alarm)
     sure = valid or count >= planned or (changed and count >= _FEWEST_STOPS and _named(design, stops))

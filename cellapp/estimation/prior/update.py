@@ -74,20 +74,14 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class Drifts:
-    """Drift of all parameters of each part, scatter of the readings [m], and the log likelihood there.
+    """Drift of all parameters of each part, scatter of the readings, and the log likelihood there.
 
-    ``scatter_rad`` is that of a component of an orientation [rad], None if none was measured.
+    ``scatters`` are that of a coordinate [m], and of a component of an orientation [rad] if one was measured.
     """
 
     of_parts: Mapping[SignaturePart, float]
-    scatter_m: float
+    scatters: tuple[float, ...]
     log_likelihood: float
-    scatter_rad: float | None = None
-
-    @property
-    def scatters(self) -> tuple[float, ...]:
-        """Scatter of positions, and of orientations if they were measured."""
-        return (self.scatter_m,) if self.scatter_rad is None else (self.scatter_m, self.scatter_rad)
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,7 +187,7 @@ class NewEvidence:
             raise NotConverged.of("search of the drifts since an earlier calibration", found.message)
         sizes = np.exp(found.x).tolist()
         of_parts = dict(zip(parts, sizes[:-kinds], strict=True))
-        return Drifts(of_parts, sizes[-kinds], -float(found.fun), sizes[-1] if kinds == 2 else None)
+        return Drifts(of_parts, tuple(sizes[-kinds:]), -float(found.fun))
 
     def estimates(self, drifts: Drifts, candidates: list[Candidate]) -> list[UpdateFit]:
         """Return the estimated jump of each candidate, and its gain of the log likelihood."""
@@ -377,7 +371,7 @@ def update(arm: ArmReadings, belief: Belief, since: str, further: Sequence[Effec
     model = replace(model, effects=(*model.effects, *further))
     found = posterior(model, measured, changed.prior(model.nominal, sizes(profile, model, measured)[first:]))
     parts = {part: _part(belief, part, drifts.of_parts.get(part)) for part in dict.fromkeys(belief.parts)}
-    return Updated(changed, found, parts, tuple(changes), tested, drifts.scatter_m, drifts.scatter_rad)
+    return Updated(changed, found, parts, tuple(changes), tested, *drifts.scatters)
 
 
 def _supported(profile: Profile, name: str, measured: Quantities, belief: Belief) -> Belief:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.robot.kinematics.chain import Geometry, JointAngles, frame_poses, jacobian
-from cellapp.robot.kinematics.statics import Bodies, GravityLoads, gravity_loads
+from cellapp.robot.kinematics.statics import Bodies, GravityLoads, gravity_loads, without_rounding
 from cellapp.robot.kinematics.transforms import Array, angular_rows
 
 # -- Columns of an effect: the SMR displacement per unit of each parameter, and what it acts on -----------
@@ -288,7 +288,7 @@ class EffectContext:
     @cached_property
     def torques(self) -> Array:
         """Gravity torques (n, N) of the nominal bodies with the payload [Nm]."""
-        return self.loads.joint_torques()
+        return without_rounding(self.loads.joint_torques())
 
     @cached_property
     def frames(self) -> tuple[Array, Array]:

@@ -11,6 +11,7 @@ from cellapp.robot.effects.data_driven import Quantity
 from cellapp.robot.effects.effect import Effect, ImpossibleValues, Meaning
 from cellapp.robot.effects.law import AMPLITUDE, SCALED, Constant, InputVariable, Law, LawForm, SmoothLaw
 from cellapp.robot.effects.modulation import OWN_SIZE, TermInput
+from cellapp.robot.kinematics.statics import without_rounding
 from cellapp.robot.kinematics.transforms import Array
 
 KNEES = (0.2, 0.35, 0.5, 0.65)
@@ -19,8 +20,6 @@ _GRAVITY = 9.81
 """Standard gravity [m/s^2]."""
 _UNIT_TORQUE = 0.5 * _GRAVITY
 """Torque of 1 kg at half a metre [Nm]."""
-_ROUNDING = 1e-6
-"""A torque that never exceeds this [Nm] is rounding error."""
 _MOST_COMPLIANCE = 1e-3
 """Bound [rad/Nm]: K = 1e3 Nm/rad is a tenth of the softest catalogue drive."""
 _MOST_CORRECTION = 1e-4
@@ -92,7 +91,7 @@ class JointCompliance(Effect):
 
     def missing_data(self, context: EffectContext) -> str:
         """Needs masses."""
-        return "" if np.abs(context.torques).max(initial=0.0) > _ROUNDING else "gravity loads no joint (no masses)"
+        return "" if context.torques.any() else "gravity loads no joint (no masses)"
 
     def smooth_laws(self, context: EffectContext) -> list[SmoothLaw]:
         """The torque of gravity as it is, at any amplitude."""
@@ -175,10 +174,10 @@ def _by_center_of_load(context: EffectContext) -> list[EffectColumn]:
     loads, rotations = context.loads, context.frames[0]
     weight = loads.masses[-1][:, None, None] * loads.gravity
     moments = np.cross(rotations[-1].swapaxes(1, 2), weight)  # (n, 3 axes of the flange, 3)
-    torques = np.einsum("jna,nka->jkn", rotations[:-1, :, :, 2], moments)
+    torques = without_rounding(np.einsum("jna,nka->njk", rotations[:-1, :, :, 2], moments))
     most = _MOST_COMPLIANCE * _MOST_AWAY
     return [
-        _correction(f"center_{letter}{j + 1}", j, torques[j, k], f"center of load {j + 1}", most, "rad/N")
+        _correction(f"center_{letter}{j + 1}", j, torques[:, j, k], f"center of load {j + 1}", most, "rad/N")
         for j in range(context.joints)
         for k, letter in enumerate("xyz")
     ]
@@ -187,7 +186,7 @@ def _by_center_of_load(context: EffectContext) -> list[EffectColumn]:
 def _compliances(name: str, torques: Array) -> list[EffectColumn]:
     """One compliance per joint for torques (n, N) [Nm]."""
     return [
-        joint_column(f"{name}{j + 1}", "rad/Nm", j, _without_rounding(torques[:, j]), 0.0, _MOST_COMPLIANCE)
+        joint_column(f"{name}{j + 1}", "rad/Nm", j, torques[:, j], 0.0, _MOST_COMPLIANCE)
         for j in range(torques.shape[1])
     ]
 
@@ -228,8 +227,8 @@ def _torques_of_unit_masses(
         axis = rotations[j][:, :, 2]
         for i in range(j + 1, context.joints + 1):
             place = context.p_M if i == context.joints else origins[i]
-            torque = np.einsum("na,na->n", axis, np.cross(place - origins[j], weight_M))
-            if names is None and np.abs(torque).max(initial=0.0) <= _ROUNDING:
+            torque = without_rounding(np.einsum("na,na->n", axis, np.cross(place - origins[j], weight_M)))
+            if names is None and not torque.any():
                 continue
             offsets = {f"unit{j + 1}_{i}": torque}
             if nobody_stated or names is not None:
@@ -240,7 +239,7 @@ def _torques_of_unit_masses(
         for k, letter in enumerate("xy") if nobody_stated or names is not None else ():
             if names is None or f"aside_{letter}{j + 1}" in names:
                 moment = np.cross(0.5 * rotations[-1][:, :, k], weight_M)
-                offset = _without_rounding(np.einsum("na,na->n", axis, moment))
+                offset = without_rounding(np.einsum("na,na->n", axis, moment))
                 columns.append(_small(f"aside_{letter}{j + 1}", j, offset, amplitude))
     return columns
 
@@ -255,9 +254,4 @@ def _correction(
     name: str, joint: int, torque: Array, block: str, most: float = _MOST_CORRECTION, unit: str = "rad/Nm"
 ) -> EffectColumn:
     """A part of the torque that counts more or less than the rest."""
-    return joint_column(name, unit, joint, _without_rounding(torque), -most, most, block, refines=True)
-
-
-def _without_rounding(torque: Array) -> Array:
-    """The torque, or exact zero where all of it is rounding error, which would be scanned like any other column."""
-    return torque if np.abs(torque).max(initial=0.0) > _ROUNDING else np.zeros_like(torque)
+    return joint_column(name, unit, joint, torque, -most, most, block, refines=True)

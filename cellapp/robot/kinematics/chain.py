@@ -29,7 +29,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 
@@ -357,7 +357,7 @@ def jacobian(geometry: Geometry, angles: JointAngles, columns: tuple[int, ...]) 
     angles : JointAngles
         n configurations.
     columns : tuple of int, length k
-        Indices into ``all_names``. Rotations before translations are fastest: no reordering is needed.
+        Indices into ``all_names``.
 
     Returns
     -------
@@ -366,35 +366,30 @@ def jacobian(geometry: Geometry, angles: JointAngles, columns: tuple[int, ...]) 
     J : array, shape (3, k, n)
         Derivatives [m/rad or m/m; rad/rad].
     """
-    sources = _column_sources(columns, geometry.joints)
-    r, n = len(columns) - len(sources.along), angles.count
+    axis_of, center_of, rotates = _sources(columns, geometry.joints)
     frames = _frames(geometry, angles)
     P = _computed(geometry, angles, frames)
-    components, J = frames.reshape(-1, n), np.empty((len(columns), 3, n))
-    axes, J[r:] = components[sources.axes], frames[sources.along]
+    J, place = frames[axis_of], {column: number for number, column in enumerate(columns)}
     for joint in np.flatnonzero(geometry.rows[:, 4]).tolist():
         # a and alpha act before rot_y(beta): undo it to get their axis
         cb, sb = math.cos(geometry.rows[joint, 4]), math.sin(geometry.rows[joint, 4])
-        axis = cb * frames[4 * joint + 4] + sb * frames[4 * joint + 6]
-        a_place, alpha_place = sources.slot[6 + 5 * joint + 2], sources.slot[6 + 5 * joint + 3]
-        if a_place >= 0:
-            J[r + a_place] = axis
-        if alpha_place >= 0:
-            axes[:, alpha_place] = axis
-    of_probe = list(sources.slot[6 + 5 * geometry.joints + 3 :])
-    if max(of_probe) >= 0:
-        axes[:, of_probe] = _probe_axes(geometry, frames)
-    smr = P if angles.R_M_S is None else _smr(geometry, frames)
-    lever = smr[:, None] - components[sources.centers]
+        for column in (6 + 5 * joint + 2, 6 + 5 * joint + 3):
+            if column in place:
+                J[place[column]] = cb * frames[4 * joint + 4] + sb * frames[4 * joint + 6]
+    first = len(parameter_names(geometry.joints))
+    of_probe = [place[column] for column in columns if column >= first]
+    if of_probe:
+        J[of_probe] = _probe_axes(geometry, frames)[[columns[k] - first for k in of_probe]]
+    axes, lever = J[rotates], frames[center_of[rotates]]
+    np.subtract(P if angles.R_M_S is None else _smr(geometry, frames), lever, out=lever)
     for x, y, z in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        J[:r, x] = axes[y] * lever[z] - axes[z] * lever[y]
-    if max(of_probe) >= 0:
-        J[of_probe] = 0.0  # a probe turns about its own origin
+        J[rotates, x] = axes[:, y] * lever[:, z] - axes[:, z] * lever[:, y]
+    J[of_probe] = 0.0  # a probe turns about its own origin
     if angles.R_M_S is not None:
         angular = angles.angular
-        J[:r, :, angular] = axes[:, :, angular].swapaxes(0, 1)
-        J[r:, :, angular] = 0.0
-    return P, (J if sources.restore is None else J[sources.restore]).swapaxes(0, 1)
+        J[:, :, angular] = 0.0
+        J[np.ix_(rotates, range(3), angular)] = axes[:, :, angular]
+    return P, J.swapaxes(0, 1)
 
 
 def base_twists(geometry: Geometry) -> Array:
@@ -422,54 +417,12 @@ def joint_jacobian(geometry: Geometry, angles: JointAngles) -> tuple[Array, Arra
     return jacobian(geometry, angles, tuple(6 + 5 * i for i in range(geometry.joints)))
 
 
-@dataclass(frozen=True)
-class _ColumnSources:
-    """Indices into ``_frames`` of the vectors from which the columns of a Jacobian are computed.
-
-    Attributes
-    ----------
-    slot : tuple of int
-        Position of each parameter of the chain among the rotations, or among the translations, of the Jacobian; -1 for
-        parameters that are not among its columns.
-    axes, centers : array, shape (3, r)
-        Indices of the components of each rotation's axis, and of a point on it, in the flattened vectors.
-    along : array, shape (k - r,)
-        Index of each translation's direction.
-    restore : array, shape (k,), or None
-        Order of the columns; None if it is rotations before translations.
-    """
-
-    slot: tuple[int, ...]
-    axes: NDArray[np.int64]
-    centers: NDArray[np.int64]
-    along: NDArray[np.int64]
-    restore: NDArray[np.int64] | None
-
-
 @lru_cache(maxsize=64)
-def _column_sources(columns: tuple[int, ...], joints: int) -> _ColumnSources:
+def _sources(columns: tuple[int, ...], joints: int) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.bool_]]:
+    """Return ``_source`` of some parameters as two arrays (k,), and a mask (k,) of the rotations."""
+    sources = np.array([_source(column, joints) for column in columns], dtype=np.intp).reshape(-1, 2)
     names = all_names(joints)
-    slot = [-1] * len(names)
-    rotations = [c for c in columns if parameter_unit(names[c]) == "rad"]
-    translations = [c for c in columns if parameter_unit(names[c]) == "m"]
-    for group in (rotations, translations):
-        for place, column in enumerate(group):
-            slot[column] = place
-    stored = rotations + translations
-    restore = None if tuple(stored) == columns else np.array([stored.index(c) for c in columns], dtype=np.int64)
-    sources = [_source(c, joints) for c in range(len(names))]
-    return _ColumnSources(
-        tuple(slot),
-        _components([sources[c][0] for c in rotations]),
-        _components([sources[c][1] for c in rotations]),
-        np.array([sources[c][0] for c in translations], dtype=np.int64),
-        restore,
-    )
-
-
-def _components(vectors: Sequence[int]) -> NDArray[np.int64]:
-    """Return indices (3, r) of the components of some vectors in the flattened array of all vectors."""
-    return 3 * np.array(vectors, dtype=np.int64) + np.arange(3)[:, None]
+    return sources[:, 0], sources[:, 1], np.array([parameter_unit(names[column]) == "rad" for column in columns])
 
 
 def _source(column: int, joints: int) -> tuple[int, int]:
@@ -508,10 +461,10 @@ def _computed(geometry: Geometry, angles: JointAngles, frames: Array) -> Array:
 
 
 def _probe_axes(geometry: Geometry, frames: Array) -> Array:
-    """Compute the axes (3, 3, n) about which the components of a probe's rotation vector rotate it: component, axis."""
+    """Compute the axes (3, 3, n) about which the components of a probe's rotation vector rotate it: axis, component."""
     last = 4 * geometry.joints
     rotation = np.eye(3) if geometry.probe is None else left_jacobian(geometry.probe)
-    return np.asarray(np.einsum("can,ck->akn", frames[last : last + 3], rotation))
+    return np.asarray(np.einsum("can,ck->kan", frames[last : last + 3], rotation))
 
 
 def _frames(geometry: Geometry, angles: JointAngles) -> Array:

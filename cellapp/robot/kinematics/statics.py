@@ -15,6 +15,8 @@ from cellapp.robot.kinematics.chain import Geometry, frame_poses
 from cellapp.robot.kinematics.transforms import Array
 
 STANDARD_GRAVITY = 9.80665  # m/s^2, CODATA conventional value
+_ROUNDING = 1e-6
+"""A torque that never exceeds this [Nm] is rounding error."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +100,12 @@ class GravityLoads:
         levers = self.centers[place] - self.origins[:-1]
         torques = np.einsum("jna,jna->nj", self._torque_by_lever, levers) * self.masses[place][:, None]
         torques[:, place + 1 :] = 0.0
-        return np.asarray(torques)
+        return without_rounding(torques)
+
+
+def without_rounding(torques: Array) -> Array:
+    """Return torques (n, ...) [Nm], exact zeros where all n are rounding error, which a search would take for a law."""
+    return np.where(np.abs(torques).max(axis=0, initial=0.0) > _ROUNDING, torques, 0.0)
 
 
 def gravity_loads(

@@ -381,6 +381,13 @@ def test_friction_winds_up_with_the_load():
     np.testing.assert_allclose(offsets(alone["windup2"]), -signs * load)
 
 
+def test_rounding_errors_of_a_vertical_axis_are_no_load():
+    upright = replace(CONTEXT, up_M=CONTEXT.frames[0][0][0, :, 2])
+    assert upright.loads.joint_torques()[:, 0].any()
+    assert not offsets(columns("friction_windup", "load", upright)["windup1"]).any()
+    assert not offsets(columns("joint_compliance", "linear", upright)["compliance1"]).any()
+
+
 def test_an_unsettled_joint_lags_behind_its_motion():
     step, dwell = CONDITIONS.step[:, 0], CONDITIONS.dwell_s
     np.testing.assert_allclose(offsets(columns("unsettled_measurement", "step")["lag1"]), -step)

@@ -28,7 +28,7 @@ import scipy
 
 from cellapp.estimation.design.information import NuisanceProjector
 from cellapp.estimation.discovery.arm_data import ArmData, LawScore, ModelTerm, ModelTerms, with_term
-from cellapp.estimation.discovery.joint_fit import JointFit, ProjectedResidual
+from cellapp.estimation.discovery.joint_fit import JointFit, NormalMatrix, ProjectedResidual
 from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchProblem, SearchState, SearchStep
 from cellapp.ground.grouping import grouped
 from cellapp.robot.effects import EFFECTS, EffectColumn
@@ -126,32 +126,22 @@ def _weight(one: Modulation) -> float:
 # -- evidence --------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class FreePartEvidence:
-    """Evidence of scaled columns in the complement of a model's parameters.
+def evidence_gain(behind: NormalMatrix, sd: Array) -> float:
+    """Return the gain of 2 ln evidence by columns with prior standard deviations (m,), each model at its best noise.
 
-    ``gram`` (m, m) is Z M Z^T, ``moments`` (m,) Z M y, both at prior standard deviations of one; ``square`` is y^T M y.
+    ``behind`` are their normal equations in the complement of the other parameters.
     """
-
-    gram: Array
-    moments: Array
-    square: float
-    freedom: float
-
-    def gain(self, sd: Array) -> float:
-        """Return the gain of 2 ln evidence over a model without these columns, each at its best noise."""
-        used = sd > 0.0
-        scale = sd[used]
-        values, vectors = np.linalg.eigh(self.gram[np.ix_(used, used)] * scale[:, None] * scale)
-        values = np.maximum(values, 0.0)
-        along = (vectors.T @ (scale * self.moments[used])) ** 2
-        noise = self.square / self.freedom * _NOISE_SHARES[:, None]
-        explained = np.sum(along / (noise + values), axis=1)
-        determinant = np.sum(np.log1p(values / noise), axis=1)
-        noise = noise[:, 0]
-        evidence = -self.freedom * np.log(noise) - determinant - (self.square - explained) / noise
-        without = -self.freedom * (math.log(self.square / self.freedom) + 1.0)
-        return float(evidence.max()) - without
+    square, freedom, used = behind.square, behind.coordinates, behind.take(sd > 0.0)
+    scale = sd[sd > 0.0]
+    values, vectors = np.linalg.eigh(used.gram * scale[:, None] * scale)
+    values = np.maximum(values, 0.0)
+    along = (vectors.T @ (scale * used.moment)) ** 2
+    noise = square / freedom * _NOISE_SHARES[:, None]
+    explained = np.sum(along / (noise + values), axis=1)
+    determinant = np.sum(np.log1p(values / noise), axis=1)
+    noise = noise[:, 0]
+    evidence = -freedom * np.log(noise) - determinant - (square - explained) / noise
+    return float(evidence.max()) + freedom * (math.log(square / freedom) + 1.0)
 
 
 def with_discrepancies(problem: SearchProblem, state: SearchState) -> SearchState | None:
@@ -231,9 +221,11 @@ def _best_shares(
     """
     if not parts:
         return [], 0.0
-    evidence = _evidence_of(fit, projector, np.concatenate([part.rows for part in parts]))
-    if evidence.freedom < 1.0 or evidence.square <= 0.0:  # the parameters leave no degrees of freedom
+    rows, residual = np.concatenate([part.rows for part in parts]), projector.project(fit.target)
+    freedom, square = len(residual) - projector.effective_parameters, float(fit.target @ residual)
+    if freedom < 1.0 or square <= 0.0:  # the parameters leave no degrees of freedom
         return [], 0.0
+    behind = NormalMatrix(rows @ projector.project(rows).T, rows @ residual, square, freedom)
     chosen: dict[int, float] = {}
     best = 0.0
     while len(chosen) < len(parts):
@@ -243,7 +235,7 @@ def _best_shares(
                 shares = {**chosen, place: share}
                 if place in chosen or math.hypot(*shares.values()) > SHARES[-1] * (1.0 + 1e-9):
                     continue
-                trials.append((evidence.gain(_scaled(parts, shares)), place, share))
+                trials.append((evidence_gain(behind, _scaled(parts, shares)), place, share))
         if not trials or max(trials)[0] <= best + LEAST_EVIDENCE:
             break
         best, place, share = max(trials)
@@ -254,16 +246,6 @@ def _best_shares(
 def _scaled(parts: Sequence[DiscrepancyTerm], shares: dict[int, float]) -> Array:
     """Return the standard deviations of all columns of some parts, zero for parts that are not chosen."""
     return np.concatenate([shares.get(place, 0.0) * part.sd for place, part in enumerate(parts)])
-
-
-def _evidence_of(fit: JointFit, projector: NuisanceProjector, rows: Array) -> FreePartEvidence:
-    residual = projector.project(fit.target)
-    return FreePartEvidence(
-        gram=rows @ projector.project(rows).T,
-        moments=rows @ residual,
-        square=float(fit.target @ residual),
-        freedom=len(residual) - projector.effective_parameters,
-    )
 
 
 # -- names beside laws that may be off -------------------------------------------------------------------------------

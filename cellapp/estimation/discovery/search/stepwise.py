@@ -260,12 +260,8 @@ def _probable(problem: SearchProblem, found: SearchResult, state: SearchState) -
     while True:
         probable = posteriors_of(found, remaining_scan(found))
         sets = _probabilities_of_sets(found, probable)
-        terms = state.fit.terms
-        by_law = {term.slug for term in terms if term.smooth is None}
-        unlike = [number for number in smooth_numbers(terms) if sets[number][1] or sets[number][0] < _EVEN_ODDS]
-        beside = [number for number in smooth_numbers(terms) if terms[number].slug in by_law]
-        if nameless := {*unlike, *beside}:
-            improbable = {terms[number].slug: sets[number][0] for number in unlike if number not in beside}
+        nameless, improbable = _without_probable_names(state.fit.terms, sets)
+        if nameless:
             state = replace(state, fit=without_names(state.fit, nameless))
             found = replace(_result(problem, state, found.geometry_only), improbable={**found.improbable, **improbable})
             continue
@@ -299,6 +295,22 @@ def _probable(problem: SearchProblem, found: SearchResult, state: SearchState) -
         improbable = {**found.improbable, state.fit.terms[number].slug: probability}
         problem, state = without, rest
         found = replace(_result(problem, state, found.geometry_only), improbable=improbable)
+
+
+def _without_probable_names(
+    terms: Sequence[ModelTerm], sets: Sequence[tuple[float, bool]]
+) -> tuple[list[int], dict[str, float]]:
+    """Return the numbers of the smooth terms that lose their names, and the probabilities of improbable names."""
+    by_law = {term.slug for term in terms if term.smooth is None}
+    numbers, improbable = [], {}
+    for number in smooth_numbers(terms):
+        slug, (probability, led) = terms[number].slug, sets[number]
+        if slug not in by_law:
+            if probability >= _EVEN_ODDS and not led:
+                continue
+            improbable[slug] = probability
+        numbers.append(number)
+    return numbers, improbable
 
 
 def _searched_without(problem: SearchProblem, state: SearchState, number: int) -> tuple[SearchProblem, SearchState]:

@@ -14,6 +14,7 @@ from cellapp.estimation.discovery.arm_data import TRANSMISSION_ERROR, UNKNOWN, A
 from cellapp.estimation.discovery.joint_fit import JointFit, fit_terms, refit, uncertainty_with_scatter
 from cellapp.estimation.discovery.posterior import posteriors_of, remaining_scan
 from cellapp.estimation.discovery.process import fit_process, process_terms
+from cellapp.estimation.discovery.search import stepwise
 from cellapp.estimation.discovery.search.data_driven import (
     in_place_of_names,
     with_data_driven_terms,
@@ -26,7 +27,7 @@ from cellapp.estimation.discovery.search.discrepancy_term import (
 )
 from cellapp.estimation.discovery.search.review import review
 from cellapp.estimation.discovery.search.scan import LawScan
-from cellapp.estimation.discovery.search.state import SearchProblem, SearchResult, SearchState
+from cellapp.estimation.discovery.search.state import Posteriors, SearchProblem, SearchResult, SearchState
 from cellapp.estimation.discovery.search.stepwise import addition, refinement, search
 from cellapp.ground.progress import JobSteps, JobToken
 from cellapp.robot.effects import EFFECTS
@@ -157,6 +158,29 @@ def lines(cycles: Sequence[int], joints: Sequence[int]) -> ModelTerm:
     """Lines of a transmission error of some joints, from 1."""
     names = tuple(f"{wave}{count}q{joint}" for joint in joints for count in cycles for wave in ("cos", "sin"))
     return ModelTerm(TRANSMISSION_ERROR, LINES.law(), names)
+
+
+def test_a_free_function_beside_a_law_of_its_effect_has_no_name_however_probable(monkeypatch):
+    """Bumps of joints 2 to 4 on top of two cycles of joint 4 are no second error of transmissions."""
+
+    def bend(q):
+        bumps = 2e-4 * np.exp(-(((q - 0.3) / 0.3) ** 2)) * (np.abs(np.arange(6) - 2) <= 1)
+        return bumps + 2e-4 * np.sin(2.0 * q) * (np.arange(6) == 3)
+
+    data, fit = readings_with(bend, np.zeros_like)
+    problem, start = searched(data, fit)
+    two_cycles = EFFECTS[TRANSMISSION_ERROR].laws(start.data.context)[0]
+    known = ModelTerm(TRANSMISSION_ERROR, two_cycles, ("cos2q4", "sin2q4"))
+    beside = sure(stepwise.with_smooth_terms(problem, problem.state((known,), start)))
+    assert [(term.slug, term.smooth is None) for term in beside.fit.terms] == [
+        (TRANSMISSION_ERROR, True),
+        (TRANSMISSION_ERROR, False),
+    ]
+    monkeypatch.setattr(
+        stepwise, "posteriors_of", lambda found, scan: Posteriors((1.0,) * len(found.reviews), {})
+    )  # every name is sure
+    found = stepwise._probable(problem, stepwise._result(problem, beside, fit), beside)
+    assert [term.slug for term in found.fit.terms] == [TRANSMISSION_ERROR, UNKNOWN]
 
 
 def probable(problem: SearchProblem, state: SearchState) -> float:
