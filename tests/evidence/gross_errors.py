@@ -90,8 +90,7 @@ def calibrated(arm: Arm, readings: Readings) -> tuple[ArmModel, tuple[int, ...]]
     return found.model, found.left_out
 
 
-def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--seeds", type=int, default=1)
+OPTIONS = {"seeds": 1}
 
 
 def cases(asked: argparse.Namespace) -> dict[str, dict[str, Any]]:

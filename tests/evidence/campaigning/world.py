@@ -230,7 +230,6 @@ class Person:
         """Come when the job says that it is stopped."""
         if not isinstance(event.detail, StateChange):
             return
-        self._world.monitor.counts[event.detail.state] += 1
         if event.detail.state == "stopped" and not self._coming:
             self._coming = True
             self._world.later(self.delay_s(), self._arrive)

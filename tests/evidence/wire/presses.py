@@ -50,16 +50,12 @@ COMMAND_MS, COMMAND_BUSY_MS, PROCESSOR_MS = 300.0, 1000.0, 100.0
 WATCHED_MS = 50.0
 """What Escape may take longer in an application that watches the job."""
 T = TypeVar("T")
-
-
-def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--presses", type=int, default=50, help="of each key")
-    parser.add_argument("--repeats", type=int, default=10, help="of everything else")
-    parser.add_argument("--busy", type=int, default=0, help="processes that compute beside it")
+OPTIONS = {"presses": 50, "repeats": 10, "busy": 0}
+"""``presses``: of each key; ``repeats``: of everything else; ``busy``: processes that compute beside it."""
 
 
 def cases(asked: argparse.Namespace) -> dict[str, dict[str, Any]]:
-    return {"person": {"presses": asked.presses, "repeats": asked.repeats, "busy": asked.busy}}
+    return {"person": {key: getattr(asked, key) for key in OPTIONS}}
 
 
 def one(case: dict[str, Any]) -> dict[str, Any]:

@@ -33,17 +33,11 @@ PACE = 50.0
 _LARGEST_SIGMAS = 6.0
 """Largest deviation of a point from the undisturbed run, in standard deviations of the difference."""
 SAME_RAD = 1e-6
-
-
-def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--stops", type=int, default=400)
-    parser.add_argument("--faults", type=int, default=200)
-    parser.add_argument("--kills", type=int, default=50)
-    parser.add_argument("--seed", type=int, default=1)
+OPTIONS = {"stops": 400, "faults": 200, "kills": 50, "seed": 1}
 
 
 def cases(asked: argparse.Namespace) -> dict[str, dict[str, Any]]:
-    return {"storm": {key: getattr(asked, key) for key in ("stops", "faults", "kills", "seed")}}
+    return {"storm": {key: getattr(asked, key) for key in OPTIONS}}
 
 
 def one(case: dict[str, Any]) -> dict[str, Any]:
