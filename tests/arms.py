@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from cellapp.robot.effects import EFFECTS, EffectTerm, Law
 from cellapp.robot.kinematics.chain import Geometry, nominal_geometry, parallel_rows, parameter_names, parameter_unit
 from cellapp.robot.kinematics.transforms import rotation_from_vector, transform
 from cellapp.robot.model import ArmModel
@@ -60,6 +63,15 @@ def true_geometry(
 def at_station(rows: Array, tool: Array, T_M_B: Array = STATION) -> Geometry:
     """The nominal geometry of an arm that stands in front of the tracker."""
     return nominal_geometry(rows, tool, T_M_B)
+
+
+def effect_term(
+    slug: str, values: Mapping[str, float], unit: str = "rad", error: float = 0.0, law: Law | None = None
+) -> EffectTerm:
+    """A term of an effect: values by the names of their columns, of one unit and standard error."""
+    size = np.array(list(values.values()))
+    law = EFFECTS[slug].law() if law is None else law
+    return EffectTerm(slug, tuple(values), size, np.full(len(size), error), (unit,) * len(size), law)
 
 
 def measured_rotations(model: ArmModel, q: Array, sigma_rad: float, rng: np.random.Generator) -> Array:

@@ -23,7 +23,6 @@ from cellapp.estimation.calibration.identification import (
 from cellapp.estimation.calibration.least_squares import LeastSquares, Linearised, Minimum, minimise
 from cellapp.estimation.calibration.parameters import auto_set, candidate_columns, full_set, paper_set
 from cellapp.estimation.calibration.station_location import better_reading, explained
-from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import CheckFailed, InputError, NotConverged, tried, with_not_fitted
 from cellapp.interfaces.python.cell import Cell
 from cellapp.robot.kinematics.chain import (
@@ -40,7 +39,7 @@ from cellapp.robot.model import CellModel
 from cellapp.robot.model.nominal import nominal_arm
 from drivers.plant import TrueErrors
 from tests.arms import HALF_TURN, OFF_AXIS, ON_AXIS, SEVEN, UR5, UR10, at_station, dh, plant_of, true_geometry
-from tests.series import series
+from tests.series import readings_at, series
 from tests.sure import sure
 from tests.twin import PROFILES, altered, with_arm
 
@@ -215,10 +214,8 @@ def test_scatter_beyond_the_stated_uncertainty_enters_the_weights():
 
 def sixty_readings():
     one = series(1, 60)["left"]
-    return Readings(
-        configuration=np.arange(60), time_s=np.arange(60.0), q=one.q, approach=np.zeros((60, 6), np.int8), p_M=one.p_M,
-        split=tuple("identify" if k % 3 else "validate" for k in range(60)),
-    )  # fmt: skip
+    words = ["identify" if k % 3 else "validate" for k in range(60)]
+    return readings_at(one.q, one.p_M, time_s=np.arange(60.0), split=words)
 
 
 def test_fixed_parameters_keep_their_values_and_others_take_their_part():
