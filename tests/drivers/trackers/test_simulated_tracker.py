@@ -89,23 +89,18 @@ NEST = np.array([0.8, 2.0, -0.4])
 ACROSS = np.array([0.0, 0.0, 1.0])
 
 
-def _capsule_of(plant, name):
+def _capsule_of(plant, name, dh_frames):
     """Ends (3,) in M and radius of the forearm of an arm at the zero position."""
     arm = next(arm for arm in plant.config.arms if arm.name == name)
     capsule = next(c for c in arm.capsules if c.frame == 3)
-    frame = np.eye(4)
-    for theta, d, a, alpha in arm.rows[:3]:
-        c, s, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)
-        rows = [[c, -s * ca, s * sa, a * c], [s, c * ca, -c * sa, a * s], [0, sa, ca, d], [0, 0, 0, 1]]
-        frame = frame @ np.array(rows)
-    frame = plant.true_T_M_B(name) @ frame
+    frame = plant.true_T_M_B(name) @ dh_frames(arm.rows, np.zeros(6))[3]
     return [frame[:3, :3] @ end + frame[:3, 3] for end in (capsule.start, capsule.end)], capsule.radius
 
 
 @pytest.mark.parametrize("off", [0.0, 0.9, 1.1])
-def test_a_body_in_the_beam_hides_what_is_behind_it(make_arm, make_plant, off):
+def test_a_body_in_the_beam_hides_what_is_behind_it(make_arm, make_plant, dh_frames, off):
     plant = make_plant(make_arm(), make_arm("ur5", "right", 1.2))
-    (start, end), radius = _capsule_of(plant, "right")
+    (start, end), radius = _capsule_of(plant, "right", dh_frames)
     middle = 0.5 * (start + end)
     beam = middle / np.linalg.norm(middle)
     aside = np.cross(beam, end - start)
@@ -120,9 +115,9 @@ def test_a_body_in_the_beam_hides_what_is_behind_it(make_arm, make_plant, off):
         assert tracker.measure(behind, 1.0).p_M == pytest.approx(behind)
 
 
-def test_an_arm_that_crosses_the_beam_breaks_it(make_arm, make_plant):
+def test_an_arm_that_crosses_the_beam_breaks_it(make_arm, make_plant, dh_frames):
     plant = make_plant(make_arm(), make_arm("ur5", "right", 1.2))
-    (start, end), _ = _capsule_of(plant, "right")
+    (start, end), _ = _capsule_of(plant, "right", dh_frames)
     behind = 1.3 * 0.5 * (start + end)
     plant.start_move("right", np.array([0.0, -1.5, 0, 0, 0, 0]), SPEED, ACCELERATION)
     plant.advance(10.0)
