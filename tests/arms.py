@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from cellapp.robot.effects import EFFECTS, EffectTerm, Law
@@ -45,6 +45,20 @@ SEVEN = dh(
 OFF_AXIS = np.array([0.045, 0.020, 0.060])
 ON_AXIS = np.array([0.0, 0.0, 0.060])
 STATION = transform(rotation_from_vector([0.05, -0.08, 2.0]), [2.6, 0.9, -0.7])
+
+
+def dh_frames(rows: ArrayLike, q: ArrayLike) -> list[Array]:
+    """Frames 0 to N, each (..., 4, 4), of a D-H chain at ``q`` (..., N), entry by entry."""
+    angles = np.moveaxis(np.asarray(q, dtype=np.float64), -1, 0)
+    chain = [np.broadcast_to(np.eye(4), (*angles.shape[1:], 4, 4))]
+    for (theta, d, a, alpha), angle in zip(np.asarray(rows), angles, strict=True):
+        c, s, ca, sa = np.cos(angle + theta), np.sin(angle + theta), np.cos(alpha), np.sin(alpha)
+        step = np.zeros((*angle.shape, 4, 4))
+        step[..., 0, :] = np.stack([c, -s * ca, s * sa, a * c], axis=-1)
+        step[..., 1, :] = np.stack([s, c * ca, -c * sa, a * s], axis=-1)
+        step[..., 2, 1:], step[..., 3, 3] = (sa, ca, d), 1.0
+        chain.append(chain[-1] @ step)
+    return chain
 
 
 def true_geometry(

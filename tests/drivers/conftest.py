@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from drivers.plant import ArmConfig, CapsuleConfig, Plant, PlantConfig, TrackerConfig, TrueErrors
-from tests.arms import UR5, UR5_CENTERS, UR5_MASSES, UR10, UR10_CENTERS, UR10_MASSES
+from tests.arms import UR5, UR5_CENTERS, UR5_MASSES, UR10, UR10_CENTERS, UR10_MASSES, dh_frames
 
 _TABLES = {"ur10": (UR10, UR10_MASSES, UR10_CENTERS), "ur5": (UR5, UR5_MASSES, UR5_CENTERS)}
 
@@ -97,28 +97,12 @@ def make_plant(make_config: Callable[..., PlantConfig]) -> Callable[..., Plant]:
 
 
 @pytest.fixture(scope="session")
-def dh_frames() -> Callable[[np.ndarray, np.ndarray], list[np.ndarray]]:
-    """``dh_frames(rows, q)``: frames 0 to N of a D-H chain at one ``q`` (N,), entry by entry."""
-
-    def frames(rows: np.ndarray, q: np.ndarray) -> list[np.ndarray]:
-        chain = [np.eye(4)]
-        for (theta, d, a, alpha), angle in zip(rows, q):
-            c, s, ca, sa = np.cos(angle + theta), np.sin(angle + theta), np.cos(alpha), np.sin(alpha)
-            step = [[c, -s * ca, s * sa, a * c], [s, c * ca, -c * sa, a * s], [0, sa, ca, d], [0, 0, 0, 1]]
-            chain.append(chain[-1] @ np.array(step))
-        return chain
-
-    return frames
-
-
-@pytest.fixture(scope="session")
-def dh_smr(dh_frames: Callable[..., list[np.ndarray]]) -> Callable[[PlantConfig, np.ndarray], np.ndarray]:
+def dh_smr() -> Callable[[PlantConfig, np.ndarray], np.ndarray]:
     """``dh_smr(config, q)``: SMR (n, 3) in M of the first arm of a perfect cell at ``q`` (n, N)."""
 
     def positions(config: PlantConfig, q: np.ndarray) -> np.ndarray:
         arm = config.arms[0]
         pose = np.linalg.inv(config.tracker.T_C_M) @ arm.T_C_B
-        smr = np.append(arm.smr_offset, 1.0)
-        return np.array([(pose @ dh_frames(arm.rows, row)[-1] @ smr)[:3] for row in q])
+        return np.asarray((pose @ dh_frames(arm.rows, q)[-1] @ np.append(arm.smr_offset, 1.0))[:, :3])
 
     return positions

@@ -16,6 +16,7 @@ from drivers.plant.effects import FACTORIES, build
 from drivers.plant.mechanism import STANDARD_GRAVITY
 from drivers.plant.random_functions import RandomField, RandomPaths
 from tests.approved import assert_refused
+from tests.arms import dh_frames
 
 FAST = {"speed": np.full(6, 2.0), "acceleration": np.full(6, 3.0)}
 
@@ -147,7 +148,7 @@ def test_a_stiffness_without_equilibrium_is_refused(make_arm, make_plant):
 
 
 @pytest.mark.parametrize("payload", [0.0, 4.0])
-def test_the_torque_is_the_slope_of_the_potential_energy(make_arm, dh_frames, payload):
+def test_the_torque_is_the_slope_of_the_potential_energy(make_arm, payload):
     pose = np.eye(4)
     pose[:3, :3] = [[0, 0, 1], [1, 0, 0], [0, 1, 0]]  # on a wall: every joint feels gravity
     arm = make_arm(T_C_B=pose, payload_mass=payload, payload_center=np.array([0.02, -0.03, 0.1]))

@@ -25,6 +25,7 @@ from drivers.trackers.protocol import (
 )
 from drivers.trackers.simulated import INITIALISE_S, POINTING_S, SETTLE_S, SimulatedTracker
 from tests.approved import assert_refused
+from tests.arms import dh_frames
 
 SPEED, ACCELERATION = np.full(6, 1.0), np.full(6, 2.0)
 
@@ -89,7 +90,7 @@ NEST = np.array([0.8, 2.0, -0.4])
 ACROSS = np.array([0.0, 0.0, 1.0])
 
 
-def _capsule_of(plant, name, dh_frames):
+def _capsule_of(plant, name):
     """Ends (3,) in M and radius of the forearm of an arm at the zero position."""
     arm = next(arm for arm in plant.config.arms if arm.name == name)
     capsule = next(c for c in arm.capsules if c.frame == 3)
@@ -98,9 +99,9 @@ def _capsule_of(plant, name, dh_frames):
 
 
 @pytest.mark.parametrize("off", [0.0, 0.9, 1.1])
-def test_a_body_in_the_beam_hides_what_is_behind_it(make_arm, make_plant, dh_frames, off):
+def test_a_body_in_the_beam_hides_what_is_behind_it(make_arm, make_plant, off):
     plant = make_plant(make_arm(), make_arm("ur5", "right", 1.2))
-    (start, end), radius = _capsule_of(plant, "right", dh_frames)
+    (start, end), radius = _capsule_of(plant, "right")
     middle = 0.5 * (start + end)
     beam = middle / np.linalg.norm(middle)
     aside = np.cross(beam, end - start)
@@ -115,9 +116,9 @@ def test_a_body_in_the_beam_hides_what_is_behind_it(make_arm, make_plant, dh_fra
         assert tracker.measure(behind, 1.0).p_M == pytest.approx(behind)
 
 
-def test_an_arm_that_crosses_the_beam_breaks_it(make_arm, make_plant, dh_frames):
+def test_an_arm_that_crosses_the_beam_breaks_it(make_arm, make_plant):
     plant = make_plant(make_arm(), make_arm("ur5", "right", 1.2))
-    (start, end), _ = _capsule_of(plant, "right", dh_frames)
+    (start, end), _ = _capsule_of(plant, "right")
     behind = 1.3 * 0.5 * (start + end)
     plant.start_move("right", np.array([0.0, -1.5, 0, 0, 0, 0]), SPEED, ACCELERATION)
     plant.advance(10.0)
