@@ -98,6 +98,11 @@ def data_of(
     return ArmData.of(ArmReadings.alone(profile, "left", arm_of(profile), readings))
 
 
+def only(joint: int, values: Array) -> Array:
+    """Offsets (n, 6) of one joint, counted from 1."""
+    return values[:, None] * (np.arange(1, 7) == joint)
+
+
 def calibrated_and_searched(run: RunFile) -> CellDiscovery:
     """Draw splits, calibrate, search every arm."""
     calibrate_run(run)

@@ -30,7 +30,7 @@ from cellapp.robot.effects.data_driven import Quantity, Variable
 from cellapp.robot.kinematics.chain import parameter_names, smr_positions
 from cellapp.robot.model.nominal import nominal_arm
 from tests.arms import STATION
-from tests.estimation.discovery.problems import arm_of
+from tests.estimation.discovery.problems import arm_of, only
 from tests.series import readings_at
 from tests.sure import sure
 from tests.twin import PROFILES, altered
@@ -221,13 +221,6 @@ def made(bend, *terms, off_axis_m=0.1):
         assert min(picture.band) >= 0.0
         json.dumps(picture.model_dump(), allow_nan=False)
     return found
-
-
-def only(joint, values):
-    """Offsets of one joint (counted from 1)."""
-    bent = np.zeros((len(values), 6))
-    bent[:, joint - 1] = values
-    return bent
 
 
 def test_fast_lines_are_laid_over_one_another_and_slow_ones_are_not():
