@@ -354,7 +354,7 @@ def test_a_person_stops_the_test(verb: str, cells: list[Cell]) -> None:
 
 def test_paths_are_refused_by_name_where_the_tracker_cannot_follow(monkeypatch: pytest.MonkeyPatch) -> None:
     task = task_of(cell_of(one_arm()), "path")
-    monkeypatch.delattr(SimulatedTracker, "start_track")
+    monkeypatch.setattr(SimulatedTracker, "stream_limits", lambda tracker: None)
     findings, _ = driven(task)
     assert findings.refused["left"]["path"] == "this tracker's driver cannot measure a moving SMR"
     assert missing_words(findings, task.tests) == ("arm left: this tracker's driver cannot measure a moving SMR",)

@@ -233,7 +233,7 @@ KINDS: Mapping[str, Strike] = {
     "tracker's link cut": _tracker_link_cut,
     "tracker silent": _tracker_mute,
     "tracker restarts": _tracker_reboot,
-    "measurement halted": lambda world, fault: world.tracker.halted_by_other(),
+    "measurement halted": lambda world, fault: world.tracker.halt(),
     "tracker restarts at once": _tracker_reboot,
     "air sensor silent": _passing("air", "silent", True, False),
     "air out of limits": _passing("air", "warmer_k", 20.0, 0.0, times=20.0),
