@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,7 +13,7 @@ from cellapp.robot.effects import EFFECTS, EffectTerm, Law
 from cellapp.robot.kinematics.chain import Geometry, nominal_geometry, parallel_rows, parameter_names, parameter_unit
 from cellapp.robot.kinematics.transforms import rotation_from_vector, transform
 from cellapp.robot.model import ArmModel
-from drivers.plant import ArmConfig, Plant, PlantConfig, TrackerConfig, TrueErrors
+from drivers.plant import ArmConfig, CapsuleConfig, Plant, PlantConfig, TrackerConfig, TrueErrors
 
 Array = NDArray[np.float64]
 HALF_TURN = np.pi / 2.0
@@ -94,32 +95,55 @@ def measured_rotations(model: ArmModel, q: Array, sigma_rad: float, rng: np.rand
     return np.asarray((noise * Rotation.from_matrix(model.orientation(q))).as_quat(scalar_first=True))
 
 
+_PUBLISHED = {"ur10": (UR10, UR10_MASSES, UR10_CENTERS), "ur5": (UR5, UR5_MASSES, UR5_CENTERS)}
+
+
+def arm_config(kind: str = "ur10", name: str = "left", x: float = 0.0, **changes: Any) -> ArmConfig:
+    """A simulated UR10 or UR5 at x on a 0.5 m table, its SMR visible from everywhere; fields changed."""
+    rows, masses, centers = _PUBLISHED[kind]
+    values: dict[str, Any] = {
+        "name": name,
+        "rows": rows,
+        "limits": np.tile([-2 * np.pi, 2 * np.pi], (6, 1)),
+        "speed": np.full(6, 2.0),
+        "acceleration": np.full(6, 3.0),
+        "T_C_B": transform(np.eye(3), [x, 0.0, 0.5]),
+        "smr_offset": np.array([0.04, 0.03, 0.05]),
+        "smr_normal": np.array([0.0, 0.0, 1.0]),
+        "smr_acceptance": np.pi,
+        "masses": masses,
+        "centers_of_mass": centers,
+        "capsules": (
+            CapsuleConfig(0, np.zeros(3), np.array([0.0, 0.0, 0.1]), 0.08),
+            CapsuleConfig(2, np.zeros(3), np.array([-rows[1, 2], 0.0, 0.0]), 0.07),
+            CapsuleConfig(3, np.zeros(3), np.array([-rows[2, 2], 0.0, 0.0]), 0.06),
+            CapsuleConfig(6, np.zeros(3), np.array([0.0, 0.0, -0.1]), 0.05),
+        ),
+    }
+    return ArmConfig(**(values | changes))
+
+
+def plant_config(*arms: ArmConfig, tracker: dict[str, Any] | None = None, **changes: Any) -> PlantConfig:
+    """A perfect, noiseless cell of some arms, or of a UR10, the tracker 3 m away; fields changed."""
+    values: dict[str, Any] = {
+        "seed": 1,
+        "arms": arms or (arm_config(),),
+        "tracker": TrackerConfig(**({"T_C_M": transform(np.eye(3), [0.3, -3.0, 1.1])} | (tracker or {}))),
+        "errors": TrueErrors(),
+        "noise": False,
+    }
+    return PlantConfig(**(values | changes))
+
+
 def plant_of(
     rows: Array, tool: Array, T_M_B: Array = STATION, errors: TrueErrors | None = None, seed: int = 0
 ) -> Plant:
-    """A plant of one arm, without effects, whose tracker frame is the cell frame."""
+    """A noisy plant of one arm, without effects and bodies, whose tracker frame is the cell frame."""
     n = len(rows)
-    arm = ArmConfig(
-        name="arm",
-        rows=rows,
-        limits=np.tile([-2.0 * np.pi, 2.0 * np.pi], (n, 1)),
-        speed=np.ones(n),
-        acceleration=np.ones(n),
-        T_C_B=T_M_B,
-        smr_offset=tool,
-        smr_normal=np.array([0.0, 0.0, 1.0]),
-        smr_acceptance=np.pi,
-        masses=np.ones(n),
-        centers_of_mass=np.zeros((n, 3)),
-    )
-    config = PlantConfig(
-        seed=seed,
-        arms=(arm,),
-        tracker=TrackerConfig(T_C_M=np.eye(4)),
-        errors=errors or TrueErrors(),
-        repeatability=0.0,
-        temperature_c=20.0,
-        noise=True,
-        floor=-10.0,
-    )
-    return Plant(config)
+    arm = arm_config(
+        name="arm", rows=rows, limits=np.tile([-2.0 * np.pi, 2.0 * np.pi], (n, 1)), speed=np.ones(n),
+        acceleration=np.ones(n), T_C_B=T_M_B, smr_offset=tool, masses=np.ones(n), centers_of_mass=np.zeros((n, 3)),
+        capsules=(),
+    )  # fmt: skip
+    own = {"repeatability": 0.0, "temperature_c": 20.0, "floor": -10.0, "noise": True, "errors": errors or TrueErrors()}
+    return Plant(plant_config(arm, tracker={"T_C_M": np.eye(4)}, seed=seed, **own))
