@@ -39,7 +39,6 @@ from drivers.plant import suggest
 from tests.arms import effect_term, true_geometry
 from tests.cell.run.small_runs import import_csv
 from tests.estimation.discovery.problems import calibrated_and_searched
-from tests.evidence.shared.cells import measured_by
 from tests.evidence.shared.series import load_entrant, sample_rows
 from tests.series import readings_at, twin
 from tests.sure import sure
@@ -62,11 +61,13 @@ def measured_run(folder, plan, effects, seed=7, noise_seed=0):
     """A run of a twin with ``effects`` by arm, measured in one go by the plant."""
     profile = load_profile(ROOT / "profiles" / "twin.yaml")
     profile = without_network(altered(profile, plant={"effects": effects, "seed": seed}))
-    readings = measured_by(build_plant(profile), dict.fromkeys(plan, np.zeros(6)), plan, noise_seed)
+    plant, rng = build_plant(profile), np.random.default_rng(noise_seed)
 
     def fill(run):
-        for name, its in readings.items():
-            run.add_readings(name, replace(its, time_s=np.arange(float(len(its)))))
+        for name, q in plan.items():
+            approach, time_s = np.sign(np.diff(np.vstack([np.zeros(6), q]), axis=0)), np.arange(float(len(q)))
+            p_M, covariance_M = plant.measure_positions(plant.smr_positions(name, q, approach=approach), rng)
+            run.add_readings(name, readings_at(q, p_M, approach=approach, time_s=time_s, covariance_M=covariance_M))
 
     return RunFile.create(folder, profile, fill)
 
