@@ -1,10 +1,11 @@
-"""Series of readings of the simulated cell at many stops, without driving its arms, and faults put into them."""
+"""Readings: of what a test states, and series of the simulated cell at many stops, without driving its arms."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.planning.plan import sample_stops
 from cellapp.cell.safety.cell_bodies import cell_bodies
+from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.chain import flange_poses
 from cellapp.robot.model.nominal import nominal_arm
@@ -24,6 +26,28 @@ _POOL = 600
 def twin() -> Profile:
     """The twin with its hidden effects."""
     return whole_twin()
+
+
+def readings_at(
+    q: Array, p_M: Array, *, approach: Any = 0, time_s: Array | None = None, split: Any = None, **more: Any
+) -> Readings:
+    """Readings at joint positions (n, N) [rad] of points (n, 3) [m], numbered as they come.
+
+    ``approach`` is broadcast to all joints; without ``time_s`` times are unknown; ``more`` are other fields, numbers
+    those of all readings. ``split`` are words, or every how manyth reading is held out: the last of each group.
+    """
+    n = len(q)
+    if isinstance(split, int):
+        split = ["validate" if k % split == split - 1 else "identify" for k in range(n)]
+    return Readings(
+        configuration=np.arange(n),
+        time_s=np.full(n, np.nan) if time_s is None else time_s,
+        q=q,
+        approach=np.broadcast_to(approach, q.shape).astype(np.int8),
+        p_M=p_M,
+        split=None if split is None else tuple(split),
+        **{name: np.full(n, value) if isinstance(value, float) else value for name, value in more.items()},
+    )
 
 
 @lru_cache(maxsize=1)

@@ -20,12 +20,8 @@ from tests.evidence.shared.cells import TWIN
 from tests.evidence.skeleton import Evidence, Limit
 
 TITLE = "Campaigns"
-
-
-def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--n", type=int, default=400)
-    parser.add_argument("--seed", type=int, default=1000, help="of the first")
-    parser.add_argument("--stops", type=int, default=400)
+OPTIONS = {"n": 400, "seed": 1000, "stops": 400}
+"""``seed``: of the first."""
 
 
 def cases(asked: argparse.Namespace) -> dict[str, dict[str, Any]]:

@@ -52,15 +52,8 @@ UNCHANGED, KINDS = "nothing", (*dict.fromkeys(PARAMETERS.values()), *WORN, "tool
 _SHIFTS = 2
 """Random shifts of each SMR, each base, and the tracker that are drawn from."""
 FOUND = ("tracker moved", "base moved", "smr moved", "arm changed", "not explained")
-
-
-def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--first", type=int, default=600)
-    parser.add_argument("--unchanged", type=int, default=20, help="checks of each cell as it was")
-    parser.add_argument("--each", type=int, default=2, help="changes of each kind in each cell")
-    parser.add_argument("--stops", type=int, default=100, help="stops of the calibration")
-    parser.add_argument("--models", default=",".join(MODELS))
+OPTIONS = {"seeds": 3, "first": 600, "unchanged": 20, "each": 2, "stops": 100, "models": ",".join(MODELS)}
+"""``unchanged``: checks of each cell as it was; ``each``: changes of each kind in each cell; ``stops``: calibrated."""
 
 
 def cases(asked: argparse.Namespace) -> dict[str, dict[str, Any]]:

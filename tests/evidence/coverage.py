@@ -20,11 +20,8 @@ from tests.evidence.skeleton import Evidence, Limit, Share, Table
 TITLE = "Confidence intervals"
 LEAST, MOST = 0.93, 0.97
 """Limits of the share of 95 % intervals that hold the truth."""
-
-
-def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--n", type=int, default=200, help="simulated arms of each kind")
-    parser.add_argument("--stops", type=int, default=100)
+OPTIONS = {"n": 200, "stops": 100}
+"""``n``: simulated arms of each kind."""
 
 
 def cases(asked: argparse.Namespace) -> dict[str, dict[str, Any]]:

@@ -61,27 +61,22 @@ def disturbed(
     return replace(readings, p_M=p_M), rows
 
 
-def with_splits(readings: Readings, *, train: bool) -> Readings:
-    """A fourth held out, a fourth to train on if asked, the others to identify."""
-    words = ("validate", "identify", "train" if train else "identify", "identify")
-    return replace(readings, split=tuple(words[row % 4] for row in range(len(readings))))
+def with_splits(readings: Readings) -> Readings:
+    """A fourth held out, the others to identify."""
+    words = ("identify" if row % 4 else "validate" for row in range(len(readings)))
+    return replace(readings, split=tuple(words))
 
 
-def arms(seed: int, *, train: bool = False) -> Iterator[Arm]:
+def arms(seed: int) -> Iterator[Arm]:
     """Every series and every arm of a simulated cell, drawn by ``seed``."""
     for name in ("C", "D", "UR5"):
         entrant = load_entrant(name)
         order = np.random.default_rng([seed, 0x6055]).permutation(len(entrant.readings))[:_ROWS]
-        yield Arm(name, entrant.profile, entrant.arm, with_splits(entrant.readings.take(order), train=train))
+        yield Arm(name, entrant.profile, entrant.arm, with_splits(entrant.readings.take(order)))
     profile = sampled_cell(load_profile(TWIN), seed)
-    for name, readings in simulated(profile, seed).items():
-        yield Arm(f"twin {name}", profile, name, with_splits(readings, train=train))
-
-
-def simulated(profile: Profile, seed: int) -> dict[str, Readings]:
-    """Clean readings of a simulated cell."""
     planned = altered(profile, plan={"stops": _STOPS})
-    return measured_plan(planned, plan_stops(planned), seed)
+    for name, readings in measured_plan(planned, plan_stops(planned), seed).items():
+        yield Arm(f"twin {name}", profile, name, with_splits(readings))
 
 
 def calibrated(arm: Arm, readings: Readings) -> tuple[ArmModel, tuple[int, ...]]:
@@ -90,8 +85,7 @@ def calibrated(arm: Arm, readings: Readings) -> tuple[ArmModel, tuple[int, ...]]
     return found.model, found.left_out
 
 
-def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--seeds", type=int, default=1)
+OPTIONS = {"seeds": 1}
 
 
 def cases(asked: argparse.Namespace) -> dict[str, dict[str, Any]]:

@@ -35,13 +35,8 @@ MOST_ABOVE_MEAN, WITHIN_95 = 1.15, (0.93, 0.97)
 """Limits of the worst draw over the mean, and of the share of coordinates within the stated 95 % intervals."""
 REFERENCE_MM = {"C": "0.092", "D": "0.102", "UR5": "0.053"}
 """A structured Gaussian process as a plain reference, 300 rows, mean of two draws."""
-
-
-def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--series", default="C,D,UR5")
-    parser.add_argument("--rows", default="300", help="numbers of rows to learn from, or all")
-    parser.add_argument("--seeds", type=int, default=8)
-    parser.add_argument("--first", type=int, default=0)
+OPTIONS = {"series": "C,D,UR5", "rows": "300", "seeds": 8, "first": 0}
+"""``rows``: numbers of rows to learn from, or all."""
 
 
 def cases(asked: argparse.Namespace) -> dict[str, dict[str, Any]]:

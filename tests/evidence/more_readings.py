@@ -32,13 +32,13 @@ _PLANNED = 60
 """Stops of the plan whose ranges of joints the simulated configurations have."""
 _MOST_RISE = 3.0
 """Standard errors by which the mean error may be above that of fewer readings."""
-
-
-def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--series", default="C,D,UR5")
-    parser.add_argument("--rows", default="100,200,300,400,401,500,700,1000,1700")
-    parser.add_argument("--stops", default="100,400,401,1600,5000", help="of the simulated arms")
-    parser.add_argument("--seeds", type=int, default=3)
+OPTIONS = {
+    "series": "C,D,UR5",
+    "rows": "100,200,300,400,401,500,700,1000,1700",
+    "stops": "100,400,401,1600,5000",
+    "seeds": 3,
+}
+"""``stops``: of the simulated arms."""
 
 
 def cases(asked: argparse.Namespace) -> dict[str, dict[str, Any]]:

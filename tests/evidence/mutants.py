@@ -82,12 +82,8 @@ _EXCHANGED: Mapping[type[ast.AST], type[ast.AST]] = {
     **{ast.In: ast.NotIn, ast.NotIn: ast.In, ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.And: ast.Or, ast.Or: ast.And},
     **{ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult},
 }
-
-
-def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--mutants", type=int, default=120)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--seconds", type=float, default=2400.0, help="no mutant begins later")
+OPTIONS = {"mutants": 120, "seed": 1, "seconds": 2400.0}
+"""``seconds``: no mutant begins later."""
 
 
 def cases(asked: argparse.Namespace) -> dict[str, dict[str, Any]]:

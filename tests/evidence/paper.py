@@ -25,10 +25,7 @@ METHODS = {
 """Method -> its name, and its mean cooperative error in the paper."""
 PAPER_GAIN = 0.277
 """Share of method 1's error that the paper's proposed method removes."""
-
-
-def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--seeds", type=int, default=10)
+OPTIONS = {"seeds": 10}
 
 
 def cases(asked: argparse.Namespace) -> dict[str, dict[str, Any]]:

@@ -27,10 +27,7 @@ TOLERANCE, ITERATIONS = 1e-5, 1000
 """Of the paper's solver."""
 STOPS = 100
 """Stops to identify from, and as many to validate."""
-
-
-def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--seeds", type=int, default=5)
+OPTIONS = {"seeds": 5}
 
 
 def cases(asked: argparse.Namespace) -> dict[str, dict[str, Any]]:

@@ -21,7 +21,7 @@ from cellapp.ground.grouping import grouped
 from tests.evidence.peering.cases import CASES, Case, make_case, write_case
 from tests.evidence.peering.environments import Failed, python_of, run
 from tests.evidence.peering.table import COLUMNS, OURS, OURS_PLAIN, Fit, Row, lines_of
-from tests.evidence.skeleton import Evidence, Limit, Table
+from tests.evidence.skeleton import ROOT, Evidence, Limit, Table
 
 TITLE = "Other libraries"
 ALONE = True
@@ -37,13 +37,8 @@ SOLVERS = {
 """Solver -> what pip installs, and the argument of its driver."""
 MOST_LSTSQ, LEAST_FASTER = 5.0, 400.0
 """Limits at 400 configurations: cellapp's time over one ``lstsq``; the fastest other library's over cellapp's."""
-
-
-def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--venvs", required=True, help="folder for the environments, made by plain pip")
-    parser.add_argument("--configurations", type=int, nargs="+", default=[400])
-    parser.add_argument("--seeds", type=int, default=5)
-    parser.add_argument("--only", nargs="*", default=list(SOLVERS))
+OPTIONS = {"venvs": str(ROOT / "logs" / "peers"), "configurations": "400", "seeds": 5, "only": ",".join(SOLVERS)}
+"""``venvs``: folder for the environments, made by plain pip."""
 
 
 def cases(asked: argparse.Namespace) -> dict[str, dict[str, Any]]:
@@ -51,10 +46,10 @@ def cases(asked: argparse.Namespace) -> dict[str, dict[str, Any]]:
         f"{case}, {n} configurations, seed {seed}, {solver}": {
             "case": case, "n": n, "seed": seed, "solver": solver, "venvs": asked.venvs
         }
-        for n in asked.configurations
+        for n in map(int, asked.configurations.split(","))
         for case in CASES
         for seed in range(asked.seeds)
-        for solver in asked.only
+        for solver in asked.only.split(",")
     }  # fmt: skip
 
 

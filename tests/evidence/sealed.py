@@ -40,11 +40,7 @@ SETS = {
     "hard": Setup(kind=HARD, laws="other"),
 }
 MOST_FALSE, MOST_SECOND, MOST_BRIER = 0.01, 0.02, 0.05
-
-
-def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--runs", default="clean=25,single=50,pair=50,outside=50,narrow=25,unstated=25")
-    parser.add_argument("--seed", type=int, default=20261203)
+OPTIONS = {"runs": "clean=25,single=50,pair=50,outside=50,narrow=25,unstated=25", "seed": 20261203}
 
 
 def cases(asked: argparse.Namespace) -> dict[str, dict[str, Any]]:

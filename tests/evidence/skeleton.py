@@ -109,8 +109,8 @@ def run(name: str, arguments: Sequence[str]) -> int:
     parser.add_argument("--jobs", type=int, help="processes; all cores if left out")
     parser.add_argument("--scheduler", help="address of a Dask scheduler instead")
     parser.add_argument("--resume", action="store_true", help="go on where the same program was stopped")
-    if hasattr(module, "options"):
-        module.options(parser)
+    for option, default in getattr(module, "OPTIONS", {}).items():
+        parser.add_argument(f"--{option}", type=type(default), default=default)
     asked = parser.parse_args(arguments)
     kept = RESULTS / f"{name}.part.jsonl"
     if not asked.resume:

@@ -67,12 +67,8 @@ LEAST_RATIO, MOST_OF_FLOOR, LEAST_GAIN, WITHIN_95 = 15.0, 1.5, 0.4, (0.93, 0.97)
 """Limits on the means: nominal over compensated error; compensated error over the floor; share of the paper's
 cooperative error that is removed; share of measurements within the stated 95 % limits."""
 CALIBRATED, RELOCATED = "calibrated", "tracker moved"
-
-
-def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--targets", type=int, default=200, help="new targets of each arm, and cooperative ones")
+OPTIONS = {"seeds": 10, "first": 0, "targets": 200}
+"""``targets``: new targets of each arm, and cooperative ones."""
 
 
 def cases(asked: argparse.Namespace) -> dict[str, dict[str, Any]]:

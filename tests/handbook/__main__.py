@@ -9,7 +9,6 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from cellapp.ground.outputs import RENEWED
 from tests.handbook.chapters import CHAPTERS, ROOT, chapter_path
 from tests.handbook.declarations import with_declarations
 from tests.handbook.page_pictures import write_pictures
@@ -30,7 +29,7 @@ if __name__ == "__main__":
         case []:
             renew()
         case ["pages", run, folder]:
-            write_pictures(Path(run), Path(folder), outputs=RENEWED)
+            write_pictures(Path(run), Path(folder))
         case ["screens", profile, run, folder]:
             write_screens(Path(profile), Path(run), Path(folder))
         case _:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import io
 import shutil
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cellapp.ground.errors import InputError
-from cellapp.ground.outputs import NEW_ONLY, Outputs, write_new_bytes
+from cellapp.ground.outputs import RENEWED, write_new_bytes
+from tests.sure import sure
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -58,56 +57,35 @@ PICTURES: tuple[PagePicture, ...] = (
 """Pictures of the handbook. The run needs all that they show: a certificate, and tests by ISO 9283."""
 
 
-def write_pictures(
-    run: Path, out: Path, pictures: Sequence[PagePicture] = PICTURES, outputs: Outputs = NEW_ONLY
-) -> list[Path]:
-    """Take pictures of pages in a run's folder, as they were written; their paths.
+def write_pictures(run: Path, out: Path) -> list[Path]:
+    """Take the pictures of pages in a run's folder, as they were written; their paths. Needs Playwright and a Chromium,
+    as Debian's package chromium."""
+    from playwright.sync_api import sync_playwright
 
-    Raises
-    ------
-    InputError
-        If there is no browser or no Playwright, a page or a part of it is missing, or the folder cannot be written.
-    """
-    try:
-        from playwright.sync_api import sync_playwright
-    except ImportError:
-        raise InputError("docs: pictures of pages need Playwright; install cellapp with its extra 'dev'") from None
-    browser_path = shutil.which("chromium")
-    if browser_path is None:
-        raise InputError("docs: pictures of pages need a Chromium, as Debian's package chromium")
-    for path in {run / picture.file: None for picture in pictures}:
-        if not path.is_file():
-            raise InputError(f"docs: {path} is missing; write it first")
     taken = {}
-    try:
-        with sync_playwright() as driver:
-            browser = driver.chromium.launch(executable_path=browser_path, args=["--no-sandbox", "--disable-gpu"])
-            for picture in pictures:
-                page = browser.new_page(
-                    viewport={"width": picture.size[0], "height": picture.size[1]},
-                    color_scheme="dark" if picture.dark else "light",
-                )
-                path = run / picture.file
-                page.goto(path.absolute().as_uri(), timeout=_LONGEST_MS)
-                taken[out / f"{picture.name}.png"] = _small(_shot(page, picture, path))
-                page.close()
-            browser.close()
-    except OSError as error:
-        raise InputError(f"docs: {out}: {error.strerror or error}; give a folder that can be written") from None
-    return list(write_new_bytes(taken, outputs))
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(
+            executable_path=shutil.which("chromium"), args=["--no-sandbox", "--disable-gpu"]
+        )
+        for picture in PICTURES:
+            page = browser.new_page(
+                viewport={"width": picture.size[0], "height": picture.size[1]},
+                color_scheme="dark" if picture.dark else "light",
+            )
+            page.goto((run / picture.file).absolute().as_uri(), timeout=_LONGEST_MS)
+            taken[out / f"{picture.name}.png"] = _small(_shot(page, picture))
+            page.close()
+        browser.close()
+    return list(write_new_bytes(taken, RENEWED))
 
 
-def _shot(page: Page, picture: PagePicture, path: Path) -> bytes:
+def _shot(page: Page, picture: PagePicture) -> bytes:
     """The PNG of the part that is shown."""
     if not picture.selector:
         return page.screenshot()
     part = page.locator(picture.selector).first
-    if not part.count():
-        raise InputError(f"docs: {path} has no part '{picture.selector}'; the run lacks that result")
     part.evaluate("part => { if (part.tagName === 'DETAILS') part.open = true; }")
-    box = part.bounding_box()
-    if box is None:
-        raise InputError(f"docs: {path}: the part '{picture.selector}' is not visible")
+    box = sure(part.bounding_box())
     box["height"] = min(box["height"], picture.most_height)
     return page.screenshot(clip=box, full_page=True)
 

@@ -98,7 +98,7 @@ class Workspace:
         """Run a line; return what is wrong, empty if nothing. That a check did not hold (exit code 1) is not wrong."""
         words = self.words(command.text)
         self._make_what_is_named(words)
-        if _NEEDS_A_SHELL.search(command.text) or program_of(words) is None:
+        if _NEEDS_A_SHELL.search(command.text) or not _is_ours(words):
             return self._run_in_shell(shlex.join(words) if not _NEEDS_A_SHELL.search(command.text) else command.text)
         for part in _parts(words):
             if wrong := self._run_here(part):
@@ -114,9 +114,9 @@ class Workspace:
         ]
 
     def _run_here(self, words: Sequence[str]) -> str:
-        if (program := program_of(words)) is None:
+        if not _is_ours(words):
             return self._run_in_shell(shlex.join(words))
-        ended = CliRunner().invoke(program.app, program.words, env={"COLUMNS": COLUMNS})
+        ended = CliRunner().invoke(app, words[1:], env={"COLUMNS": COLUMNS})
         self.printed.append(ended.output)
         if words[1:2] == ["init"] and not self.full_size:
             for path in self.folder.glob("**/profiles/twin.yaml"):
@@ -170,18 +170,9 @@ class Workspace:
         return ""
 
 
-@dataclass(frozen=True)
-class Program:
-    """A command line of this program, or of a trial of it: whose it is, and the words after its name."""
-
-    name: str
-    app: typer.Typer
-    words: list[str]
-
-
-def program_of(words: Sequence[str]) -> Program | None:
-    """``cellapp`` with its words; None for any other."""
-    return Program("cellapp", app, list(words[1:])) if words[:1] == ["cellapp"] else None
+def _is_ours(words: Sequence[str]) -> bool:
+    """Whether a command line is one of this program."""
+    return words[:1] == ["cellapp"]
 
 
 def _make_quick(path: Path) -> None:
@@ -304,12 +295,10 @@ def not_understood(line: str, *, whole: bool) -> str:
         words = shlex.split(line.replace(";", " && ").replace("|", " && "), comments=True)
     except ValueError as error:
         return str(error)
-    for part in _parts([PLACEHOLDERS.get(word, word) for word in words]):
+    for part in filter(_is_ours, _parts([PLACEHOLDERS.get(word, word) for word in words])):
         try:
-            if (program := program_of(part)) is None:
-                continue
             with contextlib.suppress(typer.Exit), contextlib.redirect_stdout(io.StringIO()):  # of ``--help``
-                _parse(_command_of(program.app), program.name, program.words, None)
+                _parse(_whole_command(), part[0], part[1:], None)
         except ImportError as error:
             return str(error)
         except typer.TyperException as error:
@@ -319,7 +308,7 @@ def not_understood(line: str, *, whole: bool) -> str:
 
 
 @cache
-def _command_of(app: typer.Typer) -> Any:
+def _whole_command() -> Any:
     return typer.main.get_command(app)
 
 

@@ -29,7 +29,7 @@ from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Cancelled, JobToken
 from cellapp.robot.paths.joint_path import Sweep
 from tests.sure import sure
-from tests.twin import PROFILES, altered, small_twin, with_arms
+from tests.twin import PROFILES, altered, small_twin, with_arm, with_arms
 
 STOPS = 24
 
@@ -74,8 +74,7 @@ def test_a_way_that_goes_home_first_is_safe(tmp_path: Path, monkeypatch: pytest.
     from cellapp.cell.planning import planned_stops
     from cellapp.cell.safety.cell_bodies import home_positions
 
-    straight = new_planned_run(small_twin(4, plan={"method": "random"}), tmp_path / "run")
-    with straight as run:
+    with new_planned_run(small_twin(4, plan={"method": "random"}), tmp_path / "run") as run:
         homes, plan = home_positions(run.profile), run.read_plan()
 
         def refuse(cell: object, here: dict[str, np.ndarray], there: dict[str, np.ndarray]) -> str:
@@ -169,9 +168,8 @@ def test_too_few_stops_are_told_and_the_rest_is_foreseen(tmp_path: Path) -> None
 
 
 def test_an_unknown_smr_offset_is_assumed_and_said(tmp_path: Path) -> None:
-    profile = small_twin(STOPS, plan={"method": "random"})
-    arms = {**profile.arms, "left": altered(profile.arms["left"], smr={"offset": "unknown"})}
-    with new_planned_run(profile.model_copy(update={"arms": arms}), tmp_path / "run") as run:
+    profile = with_arm(small_twin(STOPS, plan={"method": "random"}), "left", smr={"offset": "unknown"})
+    with new_planned_run(profile, tmp_path / "run") as run:
         result = forecast_run(run)
     assert any("smr.offset is unknown" in note for note in result.notes)
     assert result.arms["left"].accuracy[0].standard_error_mm < 1.0
@@ -249,34 +247,20 @@ def test_a_pool_may_be_smaller_than_the_plan(twin: Profile, pools: Pools) -> Non
     assert not len(select_stops(twin, few, 0, np.random.default_rng(1))["left"])
 
 
-def one_arm() -> Profile:
-    profile = small_twin(20)
-    return profile.model_copy(update={"arms": {"left": profile.arms["left"]}})
+TWIN = small_twin(20)
+LEFT = TWIN.arms["left"]
+CELLS = {
+    "one arm": TWIN.model_copy(update={"arms": {"left": LEFT}}),
+    "three arms": TWIN.model_copy(update={"arms": {**TWIN.arms, "third": LEFT}}),
+    "seven joints": altered(load_profile(PROFILES / "twin-foreign.yaml"), plan={"stops": 20}),
+    "without offset": with_arms(TWIN, smr=altered(LEFT.smr, offset="unknown")),
+    "straight ways": small_twin(20, plan={"steps": ()}),
+}
 
 
-def three_arms() -> Profile:
-    profile = small_twin(20)
-    return profile.model_copy(update={"arms": {**profile.arms, "third": profile.arms["left"]}})
-
-
-def seven_joints() -> Profile:
-    profile = load_profile(PROFILES / "twin-foreign.yaml")
-    return altered(profile, plan={"stops": 20})
-
-
-def without_offset() -> Profile:
-    profile = small_twin(20)
-    smr = profile.arms["left"].smr.model_copy(update={"offset": "unknown"})
-    return with_arms(profile, smr=smr)
-
-
-def straight_ways() -> Profile:
-    return small_twin(20, plan={"steps": ()})
-
-
-@pytest.mark.parametrize("cell", [one_arm, three_arms, seven_joints, without_offset, straight_ways])
-def test_any_cell_can_be_designed(cell: Any) -> None:
-    profile = cell()
+@pytest.mark.parametrize("cell", CELLS)
+def test_any_cell_can_be_designed(cell: str) -> None:
+    profile = CELLS[cell]
     pools = drawn(profile, 120)
     rows = select_stops(profile, pools, 20, np.random.default_rng(1))
     assert {name: len(set(found.tolist())) for name, found in rows.items()} == dict.fromkeys(profile.arms, 20)

@@ -36,7 +36,7 @@ from drivers.plant.clearance import segment_distances
 from tests.approved import assert_refused
 from tests.cell.planning.planned_cells import same_stops, some_stops
 from tests.sure import sure
-from tests.twin import altered, small_twin, with_arms
+from tests.twin import altered, small_twin, with_arm, with_arms
 
 
 @pytest.fixture(scope="module")
@@ -82,10 +82,6 @@ def test_the_simulated_tracker_finds_every_smr_of_the_true_cell(plan: dict[str, 
                 assert np.linalg.norm(point.p_M - expected) < 0.03, "and it is this arm's"
 
 
-def behind_its_back(profile: Profile) -> Profile:
-    return altered(profile, tracker={"azimuth": (math.pi - 0.3, math.pi + 0.3)})
-
-
 def arms_cannot_turn_round(profile: Profile) -> Profile:
     """The arms may move a little about a stop that looks at where the tracker was; it stands behind them now."""
     arms = {
@@ -99,21 +95,22 @@ def arms_cannot_turn_round(profile: Profile) -> Profile:
 
 
 def looking_into_the_wrist(profile: Profile) -> Profile:
-    smr = profile.arms["left"].smr.model_copy(update={"normal": (0.0, 0.0, -1.0), "acceptance": 0.05})
-    return with_arms(profile, smr=smr)
-
-
-def floor_too_high(profile: Profile) -> Profile:
-    return altered(profile, plan={"floor": 0.5})
+    return with_arms(profile, smr={"normal": (0.0, 0.0, -1.0), "acceptance": 0.05})
 
 
 @pytest.mark.parametrize(
     ("spoilt", "cause"),
     [
-        (behind_its_back, "tracker.azimuth \\(all of them\\)"),
+        (
+            lambda profile: altered(profile, tracker={"azimuth": (math.pi - 0.3, math.pi + 0.3)}),
+            "tracker.azimuth \\(all of them\\)",
+        ),
         (arms_cannot_turn_round, "viewing direction .* \\(all of them\\): the SMR looks away from the tracker"),
         (looking_into_the_wrist, "viewing direction .* \\(all of them\\)"),
-        (floor_too_high, "the floor .* \\(all of them\\): the nearest misses by [0-9]+ mm"),
+        (
+            lambda profile: altered(profile, plan={"floor": 0.5}),
+            "the floor .* \\(all of them\\): the nearest misses by [0-9]+ mm",
+        ),
     ],
 )
 def test_where_nothing_can_be_seen_planning_ends_in_words(
@@ -129,9 +126,8 @@ def test_an_unsafe_home_and_arms_too_close_are_told() -> None:
     profile = small_twin(3)
     home = sure(profile.arms["right"].home)
     down = (*home[:1], math.radians(40.0), *home[2:])
-    arms = {**profile.arms, "right": profile.arms["right"].model_copy(update={"home": down})}
     with pytest.raises(InputError, match=r"stop 1 of 3 not found .* arm right: .* the floor"):
-        plan_stops(profile.model_copy(update={"arms": arms}))
+        plan_stops(with_arm(profile, "right", home=down))
     with pytest.raises(InputError, match=r"stop 1 of 3 not found .* arms left and right: come within .* 1500 mm asked"):
         plan_stops(small_twin(3, plan={"clearance": 1.5, "floor": -3.0}))
 

@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from tests.arms import dh_frames
+
 Array = NDArray[np.float64]
 
 
@@ -35,11 +37,7 @@ def pose_of(T: NDArray[Any]) -> Pose:
 
 def forward(rows: Array, q: Any) -> Array:
     """Flange pose (4, 4) of D-H rows (6, 4): theta, d, a, alpha."""
-    T = np.eye(4)
-    for (theta, d, a, alpha), angle in zip(rows, q, strict=True):
-        c, s, ca, sa = np.cos(angle + theta), np.sin(angle + theta), np.cos(alpha), np.sin(alpha)
-        T = T @ np.array([[c, -s * ca, s * sa, a * c], [s, c * ca, -c * sa, a * s], [0, sa, ca, d], [0, 0, 0, 1]])
-    return T
+    return dh_frames(rows, q)[-1]
 
 
 @dataclass

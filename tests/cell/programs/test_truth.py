@@ -26,6 +26,7 @@ from tests.verbs import correct_run
 
 Array = NDArray[np.float64]
 FACTOR = 15.0
+ANGLES = re.compile(r'angles="([^"]*)"')
 
 
 @dataclasses.dataclass(frozen=True)
@@ -174,19 +175,19 @@ def waypoint(number: int, q: Array) -> str:
     )
 
 
+def angles(program: str) -> Array:
+    return np.array([[float(part) for part in one.split(",")] for one in ANGLES.findall(program)])
+
+
 def test_a_corrected_urp_reaches_the_true_poses(cell: Cell, tmp_path: Path) -> None:
     body = "".join(waypoint(number, q) for number, q in enumerate(cell.q))
     source = f'<URProgram name="cell"><children><Move motionType="MoveJ">{body}</Move></children></URProgram>\n'
     new, result = corrected(cell, source, tmp_path, ".urp")
     assert result.targets[0].command == "MoveJ Way point 0 & \u00e9"
-
-    def angles(text: str) -> list[str]:
-        return re.findall(r'angles="([^"]*)"', text)
-
-    before, _ = errors(cell, np.array([[float(part) for part in one.split(",")] for one in angles(source)]))
-    after, _ = errors(cell, np.array([[float(part) for part in one.split(",")] for one in angles(new)]))
+    before, _ = errors(cell, angles(source))
+    after, _ = errors(cell, angles(new))
     assert after.mean() < before.mean() / FACTOR
-    for one, other in zip(angles(source), angles(new), strict=True):
+    for one, other in zip(ANGLES.findall(source), ANGLES.findall(new), strict=True):
         new = new.replace(other, one)
     assert new == source, "nothing but joint positions has changed"
 

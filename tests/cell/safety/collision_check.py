@@ -10,32 +10,23 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from types import ModuleType
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+import pytest
 
-from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Arm, Profile
 from cellapp.ground.profile.sections import AnyObstacle, BoxObstacle, CapsuleObstacle, MeshObstacle, SphereObstacle
 from cellapp.robot.kinematics.transforms import Array, rotation_zyx, transform
 from cellapp.robot.model.nominal import pose_matrix
+from tests.arms import dh_frames
+from tests.sure import sure
 
 _TOUCHING_FRAMES = 2
 """Two bodies of one arm whose frames differ by at most this number share a housing and may touch."""
 
 Targets = Mapping[str, Array]
 """Arm -> joint positions (N,) [rad]."""
-
-
-@dataclass(frozen=True)
-class Collision:
-    """Two bodies that collide during motion number ``motion``, and the joint positions of the arms there."""
-
-    motion: int
-    first: str
-    second: str
-    q: Mapping[str, tuple[float, ...]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,30 +47,23 @@ class _Body:
 
 
 class CollisionCheck:
-    """The bodies of a profile's cell for Coal.
-
-    Raises ``InputError`` if Coal is not installed.
-    """
+    """The bodies of a profile's cell for Coal; without that the test is skipped."""
 
     def __init__(self, profile: Profile) -> None:
-        self._coal = _library()
+        self._coal = pytest.importorskip("coal")
         self._profile = profile
         self._bodies = [*self._links(), *self._obstacles()]
         self._pairs = [pair for pair in combinations(range(len(self._bodies)), 2) if self._may_not_touch(*pair)]
 
     def collisions(
-        self,
-        motions: Sequence[tuple[Targets, Targets]],
-        rng: np.random.Generator,
-        *,
-        timings: int = 4,
-        samples: int = 300,
-    ) -> Iterator[Collision]:
-        """Yield the first collision of each motion that has one.
+        self, motions: Sequence[tuple[Targets, Targets]], *, timings: int = 4, samples: int = 300
+    ) -> Iterator[tuple[int, str, str]]:
+        """Yield the number and the two bodies of the first collision of each motion that has one.
 
         Each motion is run with all arms in step, and ``timings`` - 1 times with random delays and speeds of each arm,
         each time at ``samples`` instants.
         """
+        rng = np.random.default_rng(0)
         for number, (start, target) in enumerate(motions):
             for timing in range(timings):
                 q = {}
@@ -87,15 +71,12 @@ class CollisionCheck:
                     begin, length = (0.0, 1.0) if timing == 0 else (rng.uniform(0.0, 0.5), rng.uniform(0.2, 0.5))
                     share = np.clip((np.linspace(0.0, 1.0, samples) - begin) / length, 0.0, 1.0)[:, None]
                     q[name] = start[name] + share * (target[name] - start[name])
-                found = self._first_collision(q)
-                if found is not None:
-                    row, first, second = found
-                    at = {name: tuple(map(float, value[row])) for name, value in q.items()}
-                    yield Collision(number, first, second, at)
+                if bodies := self._first_collision(q):
+                    yield (number, *bodies)
                     break
 
-    def _first_collision(self, q: Targets) -> tuple[int, str, str] | None:
-        """Return row and bodies of the first collision at configurations, arm -> (n, N) [rad]; None without one."""
+    def _first_collision(self, q: Targets) -> tuple[str, str] | None:
+        """Return the bodies of the first collision at configurations, arm -> (n, N) [rad]; None without one."""
         poses = self._poses(q)
         reach = np.stack([np.abs(pose[:, :3, :3]) @ body.half for pose, body in zip(poses, self._bodies, strict=True)])
         centre = np.stack(
@@ -106,7 +87,7 @@ class CollisionCheck:
         for row, pair in np.argwhere(overlap.T):
             i, k = self._pairs[pair]
             if self._collide(self._bodies[i], poses[i][row], self._bodies[k], poses[k][row]):
-                return int(row), self._bodies[i].name, self._bodies[k].name
+                return self._bodies[i].name, self._bodies[k].name
         return None
 
     def _collide(self, first: _Body, first_pose: Array, second: _Body, second_pose: Array) -> bool:
@@ -179,16 +160,6 @@ def _stands(body: _Body) -> bool:
     return body.obstacle and body.frame == 0
 
 
-def _library() -> ModuleType:
-    try:
-        import coal
-    except ImportError:
-        raise InputError(
-            "the independent collision check needs the package coal, which exists for Linux only: pip install coal"
-        ) from None
-    return cast(ModuleType, coal)
-
-
 def _shape(coal: ModuleType, entry: AnyObstacle) -> tuple[Any, Array, Array]:
     """Build a Coal shape; return it with centre and half the sizes of its bounding box, (3,) each [m]."""
     nowhere = np.zeros(3)
@@ -197,10 +168,7 @@ def _shape(coal: ModuleType, entry: AnyObstacle) -> tuple[Any, Array, Array]:
     if isinstance(entry, SphereObstacle):
         return coal.Sphere(entry.radius), nowhere, np.full(3, entry.radius)
     if isinstance(entry, MeshObstacle):
-        try:
-            mesh = coal.MeshLoader().load(entry.file, np.full(3, entry.scale))
-        except ValueError:
-            raise InputError(f"{entry.file}: Coal cannot read this mesh; export it again as STL") from None
+        mesh = coal.MeshLoader().load(entry.file, np.full(3, entry.scale))
         mesh.computeLocalAABB()
         low, high = mesh.aabb_local.min_, mesh.aabb_local.max_
         return mesh, 0.5 * (high + low), 0.5 * (high - low)
@@ -212,21 +180,10 @@ def _shape(coal: ModuleType, entry: AnyObstacle) -> tuple[Any, Array, Array]:
     return geometry, nowhere, np.array([entry.radius, entry.radius, half_length])
 
 
-def _frames(arm: Arm, q: Array) -> NDArray[np.float64]:
+def _frames(arm: Arm, q: Array) -> Array:
     """Compute the poses (N + 1, n, 4, 4) of an arm's D-H frames in the cell frame, base first, at ``q`` (n, N)."""
-    if arm.base is None:
-        raise InputError("arms.*.base is needed to check motions")
-    frames = [np.broadcast_to(pose_matrix(arm.base), (len(q), 4, 4))]
-    for angle, joint in zip(q.T, arm.type.joints, strict=True):
-        c, s = np.cos(angle + joint.theta), np.sin(angle + joint.theta)
-        ca, sa = np.cos(joint.alpha), np.sin(joint.alpha)
-        A = np.zeros((len(q), 4, 4))
-        A[:, 0] = np.stack([c, -s * ca, s * sa, joint.a * c], axis=1)
-        A[:, 1] = np.stack([s, c * ca, -c * sa, joint.a * s], axis=1)
-        A[:, 2] = (0.0, sa, ca, joint.d)
-        A[:, 3, 3] = 1.0
-        frames.append(frames[-1] @ A)
-    return np.stack(frames)
+    rows = [[joint.theta, joint.d, joint.a, joint.alpha] for joint in arm.type.joints]
+    return np.asarray(pose_matrix(sure(arm.base)) @ np.stack(dh_frames(rows, q)))
 
 
 def _z_along(direction: Array) -> Array:

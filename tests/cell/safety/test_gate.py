@@ -448,14 +448,14 @@ def test_distances_are_those_of_the_library(name: str) -> None:
     radius = rng.uniform(0.01, 0.1, len(start))
     ours = obstacle.gaps(start, end, radius, np.inf)
     request = coal.DistanceRequest()
-    at_obstructed = coal.Transform3s(obstacle.pose[:3, :3], obstacle.pose[:3, 3])
+    placed = coal.Transform3s(obstacle.pose[:3, :3], obstacle.pose[:3, 3])
     for a, b, r, gap in zip(start, end, radius, ours, strict=True):
         length = float(np.linalg.norm(b - a))
         z = (b - a) / length if length else np.array([0.0, 0.0, 1.0])
         x = np.cross(z, np.eye(3)[np.argmin(np.abs(z))])
         x /= np.linalg.norm(x)
         capsule = coal.Transform3s(np.stack([x, np.cross(z, x), z], axis=1), 0.5 * (a + b))
-        theirs = coal.distance(solid, at_obstructed, coal.Capsule(r, length), capsule, request, coal.DistanceResult())
+        theirs = coal.distance(solid, placed, coal.Capsule(r, length), capsule, request, coal.DistanceResult())
         if theirs > 0.0:
             assert gap == pytest.approx(theirs, abs=2e-6)
         else:
@@ -525,16 +525,12 @@ def turning(*obstacles: ObstacleBody, clearance: float = 0.1) -> CellBodies:
     return CellBodies({"a": turnstile(0.0)}, None, clearance, -1.0, math.inf, obstacles)
 
 
-def at_obstructed(angle: float) -> dict[str, np.ndarray]:
-    return {"a": np.array([angle])}
-
-
 def test_a_refusal_names_the_obstacle_and_says_by_how_much() -> None:
     cell = turning(post(1.1235, 0.0))
-    assert refuse_stop(cell, at_obstructed(0.0)) == "arm a: comes within 23 mm of obstacle 'post', 100 mm asked"
-    assert refuse_stop(cell, at_obstructed(QUARTER)) == ""
-    assert refuse_motion(cell, at_obstructed(-QUARTER), at_obstructed(QUARTER)).startswith("arm a: comes within 2")
-    assert refuse_stop(turning(post(0.9, 0.0)), at_obstructed(0.0)) == "arm a: collides with obstacle 'post'"
+    assert refuse_stop(cell, at(a=0.0)) == "arm a: comes within 23 mm of obstacle 'post', 100 mm asked"
+    assert refuse_stop(cell, at(a=QUARTER)) == ""
+    assert refuse_motion(cell, at(a=-QUARTER), at(a=QUARTER)).startswith("arm a: comes within 2")
+    assert refuse_stop(turning(post(0.9, 0.0)), at(a=0.0)) == "arm a: collides with obstacle 'post'"
 
 
 def test_a_larger_clearance_never_admits_more() -> None:
@@ -542,10 +538,7 @@ def test_a_larger_clearance_never_admits_more() -> None:
     obstacles = [ObstacleBody(name, shape, random_pose(rng)) for name, shape in SHAPES.items()]
     ways = rng.uniform(-math.pi, math.pi, (40, 2))
     admitted = [
-        [
-            not refuse_motion(turning(*obstacles, clearance=clearance), at_obstructed(a), at_obstructed(b))
-            for a, b in ways
-        ]
+        [not refuse_motion(turning(*obstacles, clearance=clearance), at(a=a), at(a=b)) for a, b in ways]
         for clearance in (0.0, 0.02, 0.05, 0.15, 0.4)
     ]
     assert 3 < sum(admitted[0]) < 40

@@ -56,14 +56,8 @@ class DelayedClient:
     def getRuntimeState(self) -> int:
         return 2 if self.playing else 1
 
-    def isConnected(self) -> bool:
-        return True
-
     def isProgramRunning(self) -> bool:
         return self.playing
-
-    def kickWatchdog(self) -> bool:
-        return True
 
     def getAsyncOperationProgressEx(self) -> DelayedClient:
         return self
@@ -77,26 +71,16 @@ class DelayedClient:
     def getTargetSpeedFraction(self) -> float:
         return self.fraction
 
-    def setWatchdog(self, hertz: float) -> bool:
-        return True
-
     def getTCPOffset(self) -> list[float]:
         return [0.0] * 6
 
     def stopJ(self, deceleration: float, asynchronous: bool) -> None:
         self.running = False
 
-    def moveJ(self, *_: object) -> bool:
+    def _done(self, *_: object) -> bool:
         return True
 
-    def isJointsWithinSafetyLimits(self, *_: object) -> bool:
-        return True
-
-    def servoJ(self, *_: object) -> bool:
-        return True
-
-    def servoStop(self, *_: object) -> bool:
-        return True
+    isConnected = kickWatchdog = setWatchdog = moveJ = isJointsWithinSafetyLimits = servoJ = servoStop = _done
 
     def setCustomScriptFile(self, _: str) -> None:
         self.playing = True

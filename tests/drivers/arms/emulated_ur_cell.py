@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import socket
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,9 +23,11 @@ from drivers.emulators.ur_controller import ControllerConfig, EmulatorProcess, S
 from tests.at_once import in_parallel
 from tests.latency import patiently
 from tests.loopback import own_address, own_arms
-from tests.waiting import WAIT_S, until
+from tests.sure import sure
+from tests.waiting import WAIT_S, until, within
 
 PATIENT_S = WAIT_S
+ROOT = Path(__file__).parents[3]
 SERIALS = {"left": "20153012345", "right": "20205501234", "left2": "20153012346", "right2": "20205501235"}
 HOSTS = own_arms(41)
 FOUR_HOSTS = {**HOSTS, "left2": own_address(63), "right2": own_address(64)}
@@ -161,14 +167,58 @@ def set_out(arm: UrArm) -> None:
     until(lambda: abs(arm.state().q[0] - HOME[0]) > 0.1, "the arm moves")
 
 
+@contextmanager
+def peer_that_says(data: bytes) -> Iterator[int]:
+    """A port that sends ``data`` to its first client and then closes."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.settimeout(PATIENT_S)
+
+        def serve() -> None:
+            link, _ = server.accept()
+            with link, suppress(ConnectionError):  # the client may have given up
+                link.settimeout(PATIENT_S)
+                link.sendall(data)
+                link.shutdown(socket.SHUT_WR)
+                while link.recv(4096):
+                    pass
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        yield server.getsockname()[1]
+        thread.join(PATIENT_S)
+        assert not thread.is_alive()
+
+
+@contextmanager
+def application(text: str, name: str) -> Iterator[tuple[subprocess.Popen[str], Callable[[str], str]]]:
+    """A program in a process of its own that drives an arm, and what it says next, which is asked for in words."""
+    command = [sys.executable, "-c", text, name]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT) as started:
+        yield started, lambda what: within(sure(started.stdout).readline, what)
+
+
 def pause(seconds: float) -> None:
     threading.Event().wait(seconds)
 
 
+def connected(emulator: EmulatorProcess, arm: UrArm) -> None:
+    """Let an arm be without fault and connected, and nobody listen to it."""
+    arm.watch(lambda error: None)
+    repair(emulator, arm.name)
+    arm.connect()
+
+
+def at_home(emulator: EmulatorProcess, arm: UrArm) -> None:
+    """Let an arm be without fault, connected and at HOME."""
+    connected(emulator, arm)
+    go(arm, HOME)
+
+
 def repair(emulator: EmulatorProcess, name: str) -> None:
-    """Repair an arm as a person would: release stops, power on, end all faults."""
+    """Repair an arm as a person would: release stops, power on, raise the slider, end all faults."""
     control = emulator.control
     control(name, "fault", "*", "none")
+    control(name, "slider", 1.0)
     control(name, "network", 0)
     control(name, "protective", "off")
     control(name, "release")

@@ -5,14 +5,10 @@ from __future__ import annotations
 import os
 import re
 import signal
-import subprocess
-import sys
 import threading
 import time
-from collections.abc import Iterator
 from contextlib import ExitStack
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -33,10 +29,11 @@ from tests.drivers.arms.emulated_ur_cell import (
     SPEED,
     UNHURRIED,
     Episode,
+    application,
     assert_braked,
     assert_stays_at_rest,
+    at_home,
     driven,
-    drivers_of,
     go,
     is_stall,
     no_fault_set,
@@ -46,7 +43,7 @@ from tests.drivers.arms.emulated_ur_cell import (
 )
 from tests.latency import attempts
 from tests.sure import sure
-from tests.waiting import until, within
+from tests.waiting import until
 
 pytestmark = pytest.mark.waits
 
@@ -77,21 +74,8 @@ FAULTS: dict[str, tuple[tuple[Any, ...], type[ArmError]]] = {
 }
 
 
-@pytest.fixture(scope="module")
-def arms(emulator: EmulatorProcess) -> Iterator[dict[str, UrArm]]:
-    """Four arms; the drivers are the same for all tests."""
-    with drivers_of(FOUR_HOSTS) as drivers:
-        yield drivers
-
-
 LONGEST_DOUBT_S = 12.0
 """A wait that ended with a timeout after this would have missed the fault."""
-
-
-def make_ready(emulator: EmulatorProcess, arm: UrArm) -> None:
-    repair(emulator, arm.name)
-    arm.connect()
-    go(arm, HOME)
 
 
 def inject(emulator: EmulatorProcess, name: str, fault: str) -> type[ArmError]:
@@ -240,15 +224,13 @@ def kill_the_application(emulator: EmulatorProcess, arm: UrArm, *, with_worker: 
     """The arm comes to rest when the application is killed during a motion, with its worker process or without it."""
     arm.disconnect()
     name = arm.name
-    root = Path(__file__).parents[3]
-    command = [sys.executable, "-c", APPLICATION, name]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=root) as application:
-        worker = int(within(sure(application.stdout).readline, "the worker of the application"))
+    with application(APPLICATION, name) as (started, says):
+        worker = int(says("the worker of the application"))
         until(lambda: abs(emulator.control(name, "status")["q"][0] - HOME[0]) > 0.1, "the arm moves")
-        application.kill()
+        started.kill()
         if with_worker:
             os.kill(worker, signal.SIGKILL)
-        application.wait(PATIENT_S)
+        started.wait(PATIENT_S)
         until(lambda: not emulator.control(name, "status")["moving"], "the arm rests")
     until(lambda: emulator.control(name, "status")["runtime_state"] == "STOPPED", "the program has ended")
     status = emulator.control(name, "status")
@@ -363,7 +345,7 @@ def rate_of_the_watchdog(emulator: EmulatorProcess, arm: UrArm) -> None:
 
 def stopped_after_kill_s(emulator: EmulatorProcess, arm: UrArm) -> float:
     """Connect, kill the worker during a motion, and return when the controller stopped its program [s]."""
-    make_ready(emulator, arm)
+    at_home(emulator, arm)
     arm.start_move(FAR, UNHURRIED, ACCELERATION)
     until(lambda: emulator.control(arm.name, "status")["moving"], "the arm moves")
     killed_s = time.monotonic()
@@ -423,13 +405,13 @@ ROUNDS: dict[str, dict[str, list[Episode]]] = {
 
 
 @pytest.mark.parametrize("episodes", ROUNDS.values(), ids=ROUNDS)
-def test_of_each_arm(emulator: EmulatorProcess, arms: dict[str, UrArm], episodes: dict[str, list[Episode]]) -> None:
-    of_each_arm(emulator, arms, episodes, make_ready)
+def test_of_each_arm(emulator: EmulatorProcess, drivers: dict[str, UrArm], episodes: dict[str, list[Episode]]) -> None:
+    of_each_arm(emulator, drivers, episodes, at_home)
 
 
-def test_the_other_arm_goes_on_when_one_link_breaks(emulator: EmulatorProcess, arms: dict[str, UrArm]) -> None:
-    left, right = arms["left"], arms["right"]
-    in_parallel(make_ready, [(emulator, left), (emulator, right)])
+def test_the_other_arm_goes_on_when_one_link_breaks(emulator: EmulatorProcess, drivers: dict[str, UrArm]) -> None:
+    left, right = drivers["left"], drivers["right"]
+    in_parallel(at_home, [(emulator, left), (emulator, right)])
     began_s = time.monotonic()
     for driver in (left, right):
         driver.start_move(AWAY, SPEED * 0.2, ACCELERATION)

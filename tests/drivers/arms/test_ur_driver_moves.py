@@ -11,7 +11,7 @@ import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -47,11 +47,11 @@ from tests.drivers.arms.emulated_ur_cell import (
     SPEED,
     WATCHDOG_HZ,
     configs,
+    connected,
     driven,
-    drivers_of,
-    emulated_cell,
     expectation,
     go,
+    peer_that_says,
     repair,
     set_out,
     warnings_about,
@@ -67,35 +67,18 @@ ARMS = ("left", "right")
 SWAPPED_HOSTS = own_arms(45)
 
 
-@pytest.fixture(scope="module")
-def emulator() -> Iterator[EmulatorProcess]:
-    with emulated_cell() as started:
-        yield started
-
-
-@pytest.fixture(scope="module")
-def drivers(emulator: EmulatorProcess) -> Iterator[dict[str, UrArm]]:
-    with drivers_of(HOSTS) as drivers:
-        yield drivers
-
-
 @pytest.fixture
-def connected(emulator: EmulatorProcess, drivers: dict[str, UrArm]) -> dict[str, UrArm]:
+def both(emulator: EmulatorProcess, drivers: dict[str, UrArm]) -> dict[str, UrArm]:
     """Both arms, without a fault; they stay connected until a test needs the controllers without clients."""
-    in_parallel(make_ready, [(emulator, arm) for arm in drivers.values()])
+    in_parallel(connected, [(emulator, drivers[name]) for name in ARMS])
     return drivers
-
-
-def make_ready(emulator: EmulatorProcess, arm: UrArm) -> None:
-    repair(emulator, arm.name)
-    arm.connect()
 
 
 @pytest.fixture
 def unconnected(emulator: EmulatorProcess, drivers: dict[str, UrArm]) -> EmulatorProcess:
     """The controllers without clients and faults, for tests that connect themselves."""
-    for name, arm in drivers.items():
-        arm.disconnect()
+    for name in ARMS:
+        drivers[name].disconnect()
         repair(emulator, name)
     return emulator
 
@@ -104,8 +87,8 @@ def unconnected(emulator: EmulatorProcess, drivers: dict[str, UrArm]) -> Emulato
 
 
 @pytest.mark.parametrize("name", ARMS)
-def test_identity_state_and_tool_are_those_of_the_controller(connected: dict[str, UrArm], name: str) -> None:
-    arm = connected[name]
+def test_identity_state_and_tool_are_those_of_the_controller(both: dict[str, UrArm], name: str) -> None:
+    arm = both[name]
     who, state, tool = arm.identify(), arm.state(), arm.tool()
     assert (who.model, who.serial) == (MODELS[name], SERIALS[name])
     assert who.software.startswith({"left": "3.", "right": "5."}[name])
@@ -371,23 +354,8 @@ def test_a_wrong_host_is_named() -> None:
 
 @pytest.mark.parametrize("answer", [b"", b"\x00\x00\x00", b"\x00\x04V\x00", b"HTTP/1.1 400 Bad Request\r\n\r\n"])
 def test_a_peer_that_is_not_an_rtde_server_is_refused(answer: bytes) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        server.settimeout(PATIENT_S)
-
-        def serve() -> None:
-            link, _ = server.accept()
-            with link, suppress(ConnectionError):  # the client may have given up
-                link.sendall(answer)
-                link.shutdown(socket.SHUT_WR)
-                while link.recv(4096):
-                    pass
-
-        thread = threading.Thread(target=serve)
-        thread.start()
-        with pytest.raises(LinkLost, match="RTDE"):
-            wait_at_rest("127.0.0.1", 0.15, port=server.getsockname()[1])
-        thread.join(PATIENT_S)
-        assert not thread.is_alive()
+    with peer_that_says(answer) as port, pytest.raises(LinkLost, match="RTDE"):
+        wait_at_rest("127.0.0.1", 0.15, port=port)
 
 
 # -- delayed positions ------------------------------------------------------------------------------------------------

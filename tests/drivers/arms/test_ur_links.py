@@ -23,6 +23,7 @@ from tests.drivers.arms.emulated_ur_cell import (
     SPEED,
     Episode,
     Heard,
+    connected,
     go,
     of_each_arm,
     pause,
@@ -36,12 +37,6 @@ pytestmark = pytest.mark.waits
 
 BUSY_S = 0.1
 """What a busy computer may add to a latency."""
-
-
-def make_ready(emulator: EmulatorProcess, arm: UrArm) -> None:
-    arm.watch(lambda error: None)
-    repair(emulator, arm.name)
-    arm.connect()
 
 
 # -- confirm ----------------------------------------------------------------------------------------------------------
@@ -80,7 +75,7 @@ def strike(emulator: EmulatorProcess, arm: UrArm, fault: tuple[Any, ...] | signa
 
 def link_that_does_not_answer_is_a_fault(emulator: EmulatorProcess, arm: UrArm, *, what: str) -> None:
     for took in attempts(raised=0.3 + BUSY_S):
-        make_ready(emulator, arm)
+        connected(emulator, arm)
         heard = Heard(arm)
         strike(emulator, arm, UNCONFIRMED[what])
         began_s = time.monotonic()
@@ -111,7 +106,7 @@ LOST = {"refuse": 0.2, "silent": 0.6}
 
 def lost_dashboard_is_noticed(emulator: EmulatorProcess, arm: UrArm, *, how: str) -> None:
     for took in attempts(told=LOST[how]):
-        make_ready(emulator, arm)
+        connected(emulator, arm)
         pause(0.15)  # the last question was answered
         heard = Heard(arm)
         began_s = time.monotonic()
@@ -127,7 +122,7 @@ def stop_does_not_wait_for_the_answer_to_a_question(emulator: EmulatorProcess, a
     for took in attempts(longest=0.04):
         took["longest"] = 0.0
         for number in range(10):
-            make_ready(emulator, arm)
+            connected(emulator, arm)
             pause(0.01 * number)
             began_s = time.monotonic()
             arm._stop_line.stop()
@@ -197,4 +192,4 @@ EPISODES: dict[str, list[Episode]] = {
 
 
 def test_of_each_arm(emulator: EmulatorProcess, drivers: dict[str, UrArm]) -> None:
-    of_each_arm(emulator, drivers, EPISODES, make_ready)
+    of_each_arm(emulator, drivers, EPISODES, connected)

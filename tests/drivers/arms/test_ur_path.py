@@ -28,24 +28,16 @@ from tests.drivers.arms.emulated_ur_cell import (
     PATIENT_S,
     Episode,
     assert_stays_at_rest,
+    at_home,
     go,
     is_stall,
     of_each_arm,
-    repair,
 )
 from tests.waiting import until
 
 pytestmark = pytest.mark.waits
 
 WAY = np.array([0.5, 0.2, -0.3, 0.2, 0.3, -0.4])
-
-
-def make_ready(emulator: EmulatorProcess, arm: UrArm) -> None:
-    """Let an arm be without fault, connected and at HOME."""
-    emulator.control(arm.name, "slider", 1.0)
-    repair(emulator, arm.name)
-    arm.connect()
-    go(arm, HOME)
 
 
 def smooth_path(period_s: float, duration_s: float) -> np.ndarray:
@@ -221,4 +213,4 @@ EPISODES: dict[str, list[Episode]] = {
 
 
 def test_of_each_arm(emulator: EmulatorProcess, drivers: dict[str, UrArm]) -> None:
-    of_each_arm(emulator, drivers, EPISODES, make_ready)
+    of_each_arm(emulator, drivers, EPISODES, at_home)

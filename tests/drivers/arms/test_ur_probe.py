@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import socket
 import struct
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
@@ -28,6 +27,7 @@ from drivers.emulators.ur_controller import (
     kinematics_info,
     personality,
 )
+from tests.drivers.arms.emulated_ur_cell import peer_that_says
 from tests.latency import attempts
 from tests.sure import sure
 
@@ -57,28 +57,6 @@ def closed_port() -> Iterator[int]:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         yield taken.getsockname()[1]
-
-
-@contextmanager
-def dashboard_that_says(data: bytes) -> Iterator[int]:
-    """A port that sends ``data`` to its first client and then closes."""
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        server.settimeout(PATIENT_S)
-
-        def serve() -> None:
-            link, _ = server.accept()
-            with link:
-                link.settimeout(PATIENT_S)
-                link.sendall(data)
-                link.shutdown(socket.SHUT_WR)
-                while link.recv(4096):
-                    pass
-
-        thread = threading.Thread(target=serve)
-        thread.start()
-        yield server.getsockname()[1]
-        thread.join(PATIENT_S)
-        assert not thread.is_alive()
 
 
 @dataclass(frozen=True)
@@ -211,7 +189,7 @@ def test_other_open_ports_are_named_when_the_dashboard_is_closed() -> None:
     ],
 )
 def test_a_peer_that_is_not_a_dashboard_is_refused(data: bytes, expected: str) -> None:
-    with dashboard_that_says(data) as port:
+    with peer_that_says(data) as port:
         assert expected in lost(port)
 
 

@@ -7,12 +7,10 @@ import os
 import random
 import re
 import signal
-import subprocess
-import sys
 import threading
 import time
+from collections.abc import Callable
 from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -42,9 +40,11 @@ from tests.drivers.arms.emulated_ur_cell import (
     UNHURRIED,
     Episode,
     Heard,
+    application,
     assert_braked,
     assert_stays_at_rest,
     at_rest,
+    connected,
     driven,
     go,
     of_each_arm,
@@ -71,14 +71,6 @@ MOST_LOST = 3
 """Of 24 starts that are braked, on a computer too busy to exchange heartbeats or to feed the watchdog."""
 
 
-def make_ready(emulator: EmulatorProcess, arm: UrArm) -> UrArm:
-    arm.watch(lambda error: None)
-    emulator.control(arm.name, "slider", 1.0)
-    repair(emulator, arm.name)
-    arm.connect()
-    return arm
-
-
 def start(emulator: EmulatorProcess, arm: UrArm, speed: np.ndarray = UNHURRIED) -> None:
     """Begin a long motion and return while it lasts."""
     here = arm.state().q
@@ -98,7 +90,7 @@ def test_a_brake_during_a_wait_stops_the_arm_and_ends_the_wait(
 
 def brake_ends_a_wait(emulator: EmulatorProcess, arm: UrArm) -> None:
     for took in attempts(woken=COMMANDED_WITHIN_S, returned=0.05, received=COMMANDED_WITHIN_S):
-        make_ready(emulator, arm)
+        connected(emulator, arm)
         took.update(brake_during_a_wait(emulator, arm))
     for call in (lambda: arm.wait_settled(PATIENT_S), lambda: arm.start_move(HOME, SPEED, ACCELERATION)):
         with pytest.raises(MotionStopped, match="connect again"):
@@ -139,7 +131,7 @@ def test_no_motion_survives_a_brake_at_any_moment_of_its_start(
     moments_s = [moments.uniform(0.0, 0.2) for _ in range(12)]  # shared by the two arms of a series
 
     def hammer(name: str, arm: UrArm) -> None:
-        make_ready(emulator, arm)
+        connected(emulator, arm)
         for after_s in moments_s[6:] if name.endswith("2") else moments_s[:6]:
             ends.append(brake_while_it_starts(emulator, arm, after_s))
 
@@ -176,24 +168,25 @@ def brake_while_it_starts(emulator: EmulatorProcess, arm: UrArm, after_s: float)
 
 
 def brake_without_its_open_line(emulator: EmulatorProcess, arm: UrArm) -> None:
-    for took in attempts(received=COMMANDED_WITHIN_S):
-        make_ready(emulator, arm)
-        start(emulator, arm)
-        emulator.control(arm.name, "drop", "dashboard", "rst")
-        asked = time.monotonic()
-        arm.brake()
-        assert_braked(emulator, arm.name, asked)
-        took["received"] = received_stop_s(emulator, arm.name, asked) - asked
+    stopped_beside(emulator, arm, ("drop", "dashboard", "rst"), arm.brake)
 
 
 def unconfirmed_brake_says_so_and_stops_all_the_same(emulator: EmulatorProcess, arm: UrArm) -> None:
-    for took in attempts(received=COMMANDED_WITHIN_S):
-        make_ready(emulator, arm)
-        start(emulator, arm)
-        emulator.control(arm.name, "fault", "dashboard", "silent")
-        asked = time.monotonic()
+    def brake() -> None:
         with pytest.raises(LinkLost, match=rf"arm {arm.name}: its stop was not confirmed: .*29999"):
             arm.brake()
+
+    stopped_beside(emulator, arm, ("fault", "dashboard", "silent"), brake)
+
+
+def stopped_beside(emulator: EmulatorProcess, arm: UrArm, fault: tuple[str, ...], brake: Callable[[], None]) -> None:
+    """Assert that a brake stops a motion in time beside a fault."""
+    for took in attempts(received=COMMANDED_WITHIN_S):
+        connected(emulator, arm)
+        start(emulator, arm)
+        emulator.control(arm.name, *fault)
+        asked = time.monotonic()
+        brake()
         assert_braked(emulator, arm.name, asked)
         took["received"] = received_stop_s(emulator, arm.name, asked) - asked
 
@@ -239,7 +232,7 @@ def faults_are_pushed(emulator: EmulatorProcess, arm: UrArm, faults: list[str]) 
 
 def fault_is_pushed(emulator: EmulatorProcess, arm: UrArm, fault: str) -> None:
     for took in attempts(told=PUSHED[fault][2] + TOLD_WITHIN_S):
-        make_ready(emulator, arm)
+        connected(emulator, arm)
         heard = Heard(arm)
         took["told"] = told_of(emulator, arm, fault, heard)
     arm.connect()
@@ -273,7 +266,7 @@ def told_of(emulator: EmulatorProcess, arm: UrArm, fault: str, heard: Heard) -> 
 
 def worker_that_does_not_run_is_a_fault(emulator: EmulatorProcess, arm: UrArm) -> None:
     for took in attempts(told=KNOWN_WITHIN_S + TOLD_WITHIN_S, received=COMMANDED_WITHIN_S):
-        make_ready(emulator, arm)
+        connected(emulator, arm)
         heard = Heard(arm)
         start(emulator, arm)
         began_s = time.monotonic()
@@ -295,7 +288,7 @@ def test_a_stall_of_this_computer_is_named(emulator: EmulatorProcess, drivers: d
     drivers["right"].disconnect()
     with driven("right", UrSettings(host=HOSTS["right"], watchdog_hz=10.0)) as arm:
         for took in attempts(frozen=FROZEN_S):
-            make_ready(emulator, arm)
+            connected(emulator, arm)
             heard = Heard(arm)
             start(emulator, arm)
             began_s = time.monotonic()
@@ -344,17 +337,15 @@ with driven(sys.argv[1]) as arm:
 def suspended_application_does_not_leave_its_arm_moving(emulator: EmulatorProcess, arm: UrArm) -> None:
     arm.disconnect()
     name = arm.name
-    root = Path(__file__).parents[3]
-    command = [sys.executable, "-c", APPLICATION, name]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=root) as application:
-        assert within(sure(application.stdout).readline, "the motion") == "moving\n"
+    with application(APPLICATION, name) as (started, says):
+        assert says("the motion") == "moving\n"
         until(lambda: not at_rest(emulator, name), "the arm moves")
         suspended_s = time.monotonic()
-        application.send_signal(signal.SIGSTOP)
+        started.send_signal(signal.SIGSTOP)
         assert_braked(emulator, name, suspended_s)
-        application.send_signal(signal.SIGCONT)
-        assert within(sure(application.stdout).readline, "what it notices") == "HostStalled\n"
-        application.wait(PATIENT_S)
+        started.send_signal(signal.SIGCONT)
+        assert says("what it notices") == "HostStalled\n"
+        started.wait(PATIENT_S)
 
 
 # -- what the controller says -----------------------------------------------------------------------------------------
@@ -375,7 +366,7 @@ def test_a_slider_that_is_moved_during_a_motion_is_no_fault(
     emulator: EmulatorProcess, drivers: dict[str, UrArm]
 ) -> None:
     arms = [drivers[name] for name in ("left", "right")]
-    in_parallel(make_ready, [(emulator, arm) for arm in arms])
+    in_parallel(connected, [(emulator, arm) for arm in arms])
     chosen = [(emulator, arm, Heard(arm)) for arm in arms]
     in_parallel(slider_to_zero, chosen)
     emulator.control("*", "pace", 4.0)  # what is left of the motion is nothing to wait for
@@ -485,4 +476,4 @@ EPISODES: dict[str, list[Episode]] = {
 
 
 def test_of_each_arm(emulator: EmulatorProcess, drivers: dict[str, UrArm]) -> None:
-    of_each_arm(emulator, drivers, EPISODES, make_ready)
+    of_each_arm(emulator, drivers, EPISODES, connected)

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import random
 import signal
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
 
 from drivers.emulators.ur_controller import EmulatorProcess
 from tests.at_once import in_parallel
-from tests.drivers.arms.emulated_ur_cell import FOUR_HOSTS, PATIENT_S, assert_stays_at_rest, pause
-from tests.waiting import until, within
+from tests.drivers.arms.emulated_ur_cell import FOUR_HOSTS, PATIENT_S, application, assert_stays_at_rest, pause
+from tests.waiting import until
 
 pytestmark = pytest.mark.waits
 
@@ -66,26 +63,24 @@ def test_a_program_that_was_suspended_says_so(emulator: EmulatorProcess) -> None
 
 def suspended_again_and_again(emulator: EmulatorProcess, name: str) -> None:
     moments, resting = random.Random(name), name.endswith("2")
-    command = [sys.executable, "-c", APPLICATION, name]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parents[3]) as application:
-        assert application.stdout is not None
+    with application(APPLICATION, name) as (started, says):
         try:
             for _ in range(TIMES):
-                assert within(application.stdout.readline, "the motion") == ("resting\n" if resting else "moving\n")
+                assert says("the motion") == ("resting\n" if resting else "moving\n")
                 until(lambda: emulator.control(name, "status")["moving"] is not resting, "the arm moves, or rests")
                 pause(moments.uniform(0.0, 0.5))
-                application.send_signal(signal.SIGSTOP)
+                started.send_signal(signal.SIGSTOP)
                 pause(SUSPENDED_S)
                 assert_stays_at_rest(emulator, name)  # it was stopped meanwhile
                 moves = emulator.control(name, "status")["moves"]
-                application.send_signal(signal.SIGCONT)
+                started.send_signal(signal.SIGCONT)
                 for _ in ("the listener", "the call that waited"):
-                    assert_says_so(within(application.stdout.readline, "what it notices"), name)
+                    assert_says_so(says("what it notices"), name)
                 assert emulator.control(name, "status")["moves"] == moves, "it moved unasked"
         finally:
-            application.send_signal(signal.SIGCONT)
-            application.terminate()
-            application.wait(PATIENT_S)
+            started.send_signal(signal.SIGCONT)
+            started.terminate()
+            started.wait(PATIENT_S)
 
 
 def assert_says_so(line: str, name: str) -> None:

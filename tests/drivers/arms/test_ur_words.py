@@ -102,33 +102,15 @@ def test_a_safety_mode_says_what_to_do_in_the_fault_the_error_and_the_state(dela
     assert_well_said(said(monitor(0.01, MOVE)[-1]))
 
 
-def pendant(client: DelayedClient) -> None:
-    client.playing = False
-
-
-def local(client: DelayedClient) -> None:
-    client.playing, client.local = False, True
-
-
-def cut_short(client: DelayedClient) -> None:
-    client.running = False
-
-
-def power(client: DelayedClient) -> None:
-    client.mode = 3
-
-
-def by_hand(client: DelayedClient) -> None:
-    client.mode = 6
-
-
-WORKER: dict[str, tuple[Callable[[DelayedClient], None], type[ArmError], str]] = {
-    "stopped on the pendant": (pendant, ArmError, "its program ended; possible: it was stopped on the pendant"),
-    "local control": (local, NotInRemoteControl, "the pendant is in local control"),
-    "cut short": (cut_short, ArmError, "its motion was cut short: it rests 20.05 deg from its goal"),
-    "no power": (power, ArmError, "robot mode POWER_OFF, needed is RUNNING; power the arm on"),
-    "guided by hand": (by_hand, ArmError, "robot mode BACKDRIVE, needed is RUNNING; it is guided by hand"),
-}
+WORKER: dict[str, tuple[dict[str, Any], type[ArmError], str]] = {
+    "stopped on the pendant": (
+        {"playing": False}, ArmError, "its program ended; possible: it was stopped on the pendant"
+    ),
+    "local control": ({"playing": False, "local": True}, NotInRemoteControl, "the pendant is in local control"),
+    "cut short": ({"running": False}, ArmError, "its motion was cut short: it rests 20.05 deg from its goal"),
+    "no power": ({"mode": 3}, ArmError, "robot mode POWER_OFF, needed is RUNNING; power the arm on"),
+    "guided by hand": ({"mode": 6}, ArmError, "robot mode BACKDRIVE, needed is RUNNING; it is guided by hand"),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("cause", WORKER)
@@ -136,8 +118,8 @@ def test_what_ends_a_motion(delayed: Delayed, cause: str) -> None:
     client, monitor = delayed
     client.running = True
     monitor(0.1)
-    act, error, words = WORKER[cause]
-    act(client)
+    changes, error, words = WORKER[cause]
+    vars(client).update(changes)
     answers = monitor(1.5)
     assert words in said(answers[-1])
     assert type(arm_error("left", answers[-1]["error"], answers[-1]["text"])) is error
@@ -273,6 +255,7 @@ EXPECTED = UrExpectation(
     payload_center_m=np.array([0.0, 0.0, 0.03]),
     tcp=np.array([0.0, 0.0, 0.06, 0.0, 0.0, 0.0]),
 )
+SAMPLE = UrSample(1.0, (0.0,) * 6, (0.0,) * 6, "RUNNING", "NORMAL", "STOPPED", 1.0, 0.35, (0.0, 0.0, 0.03))
 PROBE = UrProbe(
     host="192.168.0.10",
     software="3.15.8",
@@ -288,7 +271,7 @@ PROBE = UrProbe(
     kinematics=None,
     kinematics_note="",
     tcp=(0.0, 0.0, 0.06, 0.0, 0.0, 0.0),
-    sample=UrSample(1.0, (0.0,) * 6, (0.0,) * 6, "RUNNING", "NORMAL", "STOPPED", 1.0, 0.35, (0.0, 0.0, 0.03)),
+    sample=SAMPLE,
 )
 
 
@@ -382,9 +365,9 @@ CHANGES: dict[str, dict[str, Any]] = {
     "a program runs": {"program_running": True},
     "a port": {"ports": {30004: False}},
     "no state": {"sample": None, "sample_note": "192.168.0.10:30004: no RTDE connection (refused)"},
-    "it moves": {"sample": replace(PROBE.sample, qd=(1.0,) * 6) if PROBE.sample else None},
-    "slider": {"sample": replace(PROBE.sample, speed_fraction=0.0) if PROBE.sample else None},
-    "payload": {"sample": replace(PROBE.sample, payload_kg=1.0) if PROBE.sample else None},
+    "it moves": {"sample": replace(SAMPLE, qd=(1.0,) * 6)},
+    "slider": {"sample": replace(SAMPLE, speed_fraction=0.0)},
+    "payload": {"sample": replace(SAMPLE, payload_kg=1.0)},
     "TCP": {"tcp": (0.0,) * 6},
     "model": {"model": "UR3"},
 }

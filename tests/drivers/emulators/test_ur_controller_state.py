@@ -17,11 +17,12 @@ from drivers.emulators.ur_controller import ControllerConfig, Series, ideal, per
 from drivers.emulators.ur_controller.controller import Controller
 from drivers.emulators.ur_controller.dashboard import answer
 from drivers.emulators.ur_controller.script import ControlScript, ForeignProgram, Upload
+from tests.arms import dh_frames
 from tests.sure import sure
 
 READY, DONE = 1, 2
 RUNNING_BIT = 1 << 15
-MOVE, STOP_JOINTS, PAYLOAD, TCP, WATCHDOG, STEADY, END, SERVO = 1, 34, 17, 29, 35, 47, 255, 11
+MOVE, STOP_JOINTS, PAYLOAD, TCP, WATCHDOG, STEADY, SERVO = 1, 34, 17, 29, 35, 47, 11
 
 
 class Bench:
@@ -266,12 +267,8 @@ def test_local_control_refuses_network_commands_on_the_e_series_only() -> None:
 @given(st.lists(st.floats(-6.0, 6.0), min_size=6, max_size=6))
 def test_poses_are_those_of_the_d_h_table(q: list[float]) -> None:
     rows = personality("CB3", "UR10", "1").rows
-    expected = np.eye(4)
-    for (theta, d, a, alpha), angle in zip(rows, q, strict=True):
-        c, s, ca, sa = np.cos(angle + theta), np.sin(angle + theta), np.cos(alpha), np.sin(alpha)
-        expected = expected @ [[c, -s * ca, s * sa, a * c], [s, c * ca, -c * sa, a * s], [0, sa, ca, d], [0, 0, 0, 1]]
     frames = poses.chain(rows, q)
-    assert np.allclose(np.array(frames[-1]).T, expected[:3], atol=1e-12)
+    assert np.allclose(np.array(frames[-1]).T, dh_frames(rows, q)[-1][:3], atol=1e-12)
     again = poses.frame(poses.pose(frames[-1]))
     assert np.allclose(np.array(again), np.array(frames[-1]), atol=1e-9)
 

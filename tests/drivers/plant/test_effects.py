@@ -16,6 +16,7 @@ from drivers.plant.effects import FACTORIES, build
 from drivers.plant.mechanism import STANDARD_GRAVITY
 from drivers.plant.random_functions import RandomField, RandomPaths
 from tests.approved import assert_refused
+from tests.arms import dh_frames
 
 FAST = {"speed": np.full(6, 2.0), "acceleration": np.full(6, 3.0)}
 
@@ -39,21 +40,26 @@ def test_a_suggestion_is_an_effect_of_realistic_size(make_arm, make_plant, slug)
         parameters = suggest(slug, rng, left, DURATION_S)
         # a profile or a sealed truth can hold it
         assert json.loads(json.dumps(parameters)) == parameters
-        q, away = rng.uniform(-2.5, 2.5, (2, STOPS, 6))
-        time_s = np.sort(rng.uniform(0.0, DURATION_S, STOPS))
-        ideal = make_plant(left, right)
-        told = {
-            "others": {"right": away},
-            "time_s": time_s,
-            "last_step": rng.choice([-1.0, 1.0], (STOPS, 6)) * rng.uniform(0.1, 1.5, (STOPS, 6)),
-            "since_rest_s": rng.uniform(1.0, 5.0, STOPS),
-            "payload": rng.choice([0.5, 4.0], STOPS),
-            "joints_c": 20.0 + 8.0 * (1.0 - np.exp(-time_s / 2400.0))[:, None] * rng.uniform(0.7, 1.3, 6),
-        }
-        plant = make_plant(replace(left, effects={slug: parameters}), right)
-        moved = plant.smr_positions("left", q, **told) - ideal.smr_positions("left", q, **told)
-        size = np.sqrt((moved**2).sum(axis=1).mean())
-        assert 5e-6 < size < 5e-3
+        assert 5e-6 < _size(make_plant, left, right, {slug: parameters}) < 5e-3
+
+
+def _size(make_plant, left, right, effects):
+    """Rms of what effects move the left arm's SMR by [m], at random stops of a run of both arms."""
+    rng = np.random.default_rng(3)
+    q, away = rng.uniform(-2.5, 2.5, (2, STOPS, 6))
+    time_s = np.sort(rng.uniform(0.0, DURATION_S, STOPS))
+    told = {
+        "others": {"right": away},
+        "time_s": time_s,
+        "last_step": rng.choice([-1.0, 1.0], (STOPS, 6)) * rng.uniform(0.1, 2.0, (STOPS, 6)),
+        "since_rest_s": rng.uniform(1.0, 6.0, STOPS),
+        "payload": rng.choice([0.5, 6.0], STOPS),
+        "joints_c": 20.0 + 10.0 * (1.0 - np.exp(-time_s / 2400.0))[:, None] * rng.uniform(0.7, 1.3, 6),
+        "air_c": 20.0 + rng.uniform(-1.0, 1.0, STOPS),
+    }
+    plant, ideal = make_plant(replace(left, effects=effects), right), make_plant(left, right)
+    moved = plant.smr_positions("left", q, **told) - ideal.smr_positions("left", q, **told)
+    return np.sqrt((moved**2).sum(axis=1).mean())
 
 
 def test_every_effect_has_a_suggestion():
@@ -87,18 +93,16 @@ def test_a_wrong_slug_or_duration_is_one_clear_error(make_arm):
 Q = np.random.default_rng(3).uniform(-2.5, 2.5, (8, 6))
 
 
-def _positions(make_arm, make_plant, effects, q=Q, **situation):
-    return make_plant(make_arm(effects=effects)).smr_positions("left", q, **situation)
+def _positions(make_arm, make_plant, effects, **situation):
+    return make_plant(make_arm(effects=effects)).smr_positions("left", Q, **situation)
 
 
 # -- lost motion that saturates ----------------------------------------------------------------------------------------
 
-TEETH = {"play": [2e-4] * 6, "reach": [0.2] * 6}
-
 
 def test_given_steps_agree_with_executed_steps(make_arm, make_plant):
     effects = {
-        "backlash": TEETH,
+        "backlash": {"play": [2e-4] * 6, "reach": [0.2] * 6},
         "unsettled_measurement": {"fraction": [1e-4] * 6, "time_constant": [5.0] * 6},
         "friction_windup": {"friction": [4.0] * 6, "load_friction": [0.05] * 6, "stiffness": [5e4] * 6},
     }
@@ -110,24 +114,6 @@ def test_given_steps_agree_with_executed_steps(make_arm, make_plant):
         told = plant.smr_positions("left", q[None], last_step=(q - before)[None], since_rest_s=np.array([1.5]))
         assert np.abs(plant.targets()[0].p_M - told[0]).max() < 1e-11
         before = q
-
-
-# -- drives that turn unevenly -----------------------------------------------------------------------------------------
-
-GEAR = {
-    "mode": "lines",
-    "joints": [2],
-    "ratio": [100.0],
-    "eccentric": [0.0],
-    "eccentric_phase": [0.4],
-    "coupling_slant": [0.0],
-    "coupling_phase": [1.1],
-    "output_slant": [0.0],
-    "output_phase": [2.0],
-}
-
-
-CURVE = {"mode": "curve", "joints": [2, 3], "rms": [5e-5, 2e-5], "seed": 5, "lowest": 5, "highest": 40}
 
 
 # -- laws outside the catalogue ----------------------------------------------------------------------------------------
@@ -153,12 +139,6 @@ def test_an_uncatalogued_effect_rotates_one_joint_by_others(make_arm, make_plant
     assert np.abs(found - make_plant().smr_positions("left", joints)).max() < 1e-13
 
 
-# -- what the arm stands on --------------------------------------------------------------------------------------------
-
-
-COUPLING = {"bending": 2e6, "torsion": 2e6, "depth": 0.0}
-
-
 def test_a_stiffness_without_equilibrium_is_refused(make_arm, make_plant):
     with pytest.raises(ValueError, match="arm left: the hidden effects reach no equilibrium"):
         _positions(make_arm, make_plant, {"payload_compliance": {"stiffness": [1.0] * 6}}, payload=np.full(8, 10.0))
@@ -168,7 +148,7 @@ def test_a_stiffness_without_equilibrium_is_refused(make_arm, make_plant):
 
 
 @pytest.mark.parametrize("payload", [0.0, 4.0])
-def test_the_torque_is_the_slope_of_the_potential_energy(make_arm, dh_frames, payload):
+def test_the_torque_is_the_slope_of_the_potential_energy(make_arm, payload):
     pose = np.eye(4)
     pose[:3, :3] = [[0, 0, 1], [1, 0, 0], [0, 1, 0]]  # on a wall: every joint feels gravity
     arm = make_arm(T_C_B=pose, payload_mass=payload, payload_center=np.array([0.02, -0.03, 0.1]))
@@ -208,14 +188,7 @@ def test_springs_balance_gravity_at_the_deflected_posture(make_arm, make_config,
     assert np.abs(found - dh_smr(config, q)).max() > 1e-3
 
 
-# -- The tracker and its target: scale, zero, circles, axes, glass -----------------------------------------------------
-
-
-def _distance(p_M):
-    return np.linalg.norm(p_M, axis=1)
-
-
-GLASS = {"thickness": 3e-4, "index": 1.51, "dihedral": 0.0}
+# -- The tracker -------------------------------------------------------------------------------------------------------
 
 
 def test_in_the_cell_the_tracker_sees_the_arm_through_them(make_arm, make_plant):
@@ -224,47 +197,13 @@ def test_in_the_cell_the_tracker_sees_the_arm_through_them(make_arm, make_plant)
     plant, ideal = make_plant(make_arm(effects=effects)), make_plant()
     p_M = ideal.smr_positions("left", q)
     moved = plant.smr_positions("left", q) - p_M
-    along = p_M / _distance(p_M)[:, None]
-    assert np.abs(moved - along * (1e-5 * _distance(p_M) + 3e-5)[:, None]).max() < 1e-9
+    distance = np.linalg.norm(p_M, axis=1, keepdims=True)
+    assert np.abs(moved - p_M / distance * (1e-5 * distance + 3e-5)).max() < 1e-9
     live = plant.targets()[0].p_M - ideal.targets()[0].p_M
     assert np.linalg.norm(live) == pytest.approx(1e-5 * np.linalg.norm(ideal.targets()[0].p_M) + 3e-5, rel=1e-4)
 
 
 # -- Laws of another shape: each has the usual law as its limit, and its own equation holds ----------------------------
-
-
-STOPS_OF_OTHER_LAWS = 30
-GROWTH = {"expansion": 2.3e-5, "share": 0.8, "lag": 900.0, "motor": 1e-6}
-CIRCLES = {"azimuth": [1e-5, 0.2, 6e-3, 1.0], "elevation": [8e-6, 2.0, 5e-3, 0.3], "transit": 1e-5}
-
-
-@pytest.fixture(scope="module")
-def situation():
-    """Stops of a run, as keywords of ``smr_positions``, and the joint positions (n, 6) [rad] under ``q``."""
-    rng = np.random.default_rng(3)
-    time_s = np.sort(rng.uniform(0.0, DURATION_S, STOPS_OF_OTHER_LAWS))
-    return {
-        "q": rng.uniform(-2.5, 2.5, (STOPS_OF_OTHER_LAWS, 6)),
-        "time_s": time_s,
-        "last_step": rng.choice([-1.0, 1.0], (STOPS_OF_OTHER_LAWS, 6))
-        * rng.uniform(0.1, 2.0, (STOPS_OF_OTHER_LAWS, 6)),
-        "since_rest_s": rng.uniform(1.0, 6.0, STOPS_OF_OTHER_LAWS),
-        "payload": rng.choice([0.5, 6.0], STOPS_OF_OTHER_LAWS),
-        "joints_c": 20.0 + 10.0 * (1.0 - np.exp(-time_s / 2400.0))[:, None] * rng.uniform(0.7, 1.3, 6),
-        "air_c": 20.0 + rng.uniform(-1.0, 1.0, STOPS_OF_OTHER_LAWS),
-    }
-
-
-@pytest.fixture
-def positions(make_arm, make_plant, situation):
-    """``positions(effects, **changes)``: SMR positions (n, 3) [m] of an arm with these effects beside another arm."""
-
-    def measured(effects, **changes):
-        right = make_arm("ur5", "right", 1.2)
-        told = situation | {"others": {"right": situation["q"][::-1].copy()}} | changes
-        return make_plant(make_arm(effects=effects), right).smr_positions("left", told.pop("q"), **told)
-
-    return measured
 
 
 def test_many_plays_follow_their_history_in_a_batch_as_in_motion(make_arm, make_plant):
@@ -273,8 +212,7 @@ def test_many_plays_follow_their_history_in_a_batch_as_in_motion(make_arm, make_
     stops = np.cumsum(np.random.default_rng(2).uniform(-0.6, 0.6, (12, 6)), axis=0)
     moved = []
     for q in stops:
-        plant.start_move("left", q, np.full(6, 2.0), np.full(6, 3.0))
-        plant.advance(max(plant.rest_s("left") - plant.clock_s, 0.0))
+        _go(plant, q)
         moved.append(plant.targets()[0].p_M)
     steps = np.diff(stops, axis=0, prepend=np.zeros((1, 6)))
     found = plant.smr_positions("left", stops, last_step=steps, time_s=np.arange(12.0))
@@ -302,15 +240,14 @@ def test_a_field_is_smooth_and_has_its_size():
 
 
 @pytest.mark.parametrize("slug", REALISTIC)
-def test_other_laws_are_valid_repeatable_and_of_realistic_size(make_arm, positions, slug):
-    arm = make_arm()
+def test_other_laws_are_valid_repeatable_and_of_realistic_size(make_arm, make_plant, slug):
+    arm, right = make_arm(), make_arm("ur5", "right", 1.2)
     one, again = (suggest_other_law(slug, np.random.default_rng(8), arm, DURATION_S) for _ in range(2))
     assert one == again == json.loads(json.dumps(one))
     assert one != suggest(slug, np.random.default_rng(8), arm, DURATION_S)
     for seed in range(6):
         parameters = suggest_other_law(slug, np.random.default_rng(seed), arm, DURATION_S)
-        size = np.sqrt(((positions({slug: parameters}) - positions({})) ** 2).sum(axis=1).mean())
-        assert 3e-6 < size < 8e-3
+        assert 3e-6 < _size(make_plant, arm, right, {slug: parameters}) < 8e-3
 
 
 def test_an_effect_without_another_law_is_refused(make_arm):
@@ -319,9 +256,6 @@ def test_an_effect_without_another_law_is_refused(make_arm):
 
 
 # -- Wrong parameters --------------------------------------------------------------------------------------------------
-
-DISC = {"joints": [2], "eccentricity": [2e-6], "radius": [0.025], "phase": [0.0]}
-TILT = {"stiffness": [1e4] * 6}
 
 
 def test_a_wrong_effect_is_one_clear_error_as_approved(make_arm, make_plant):

@@ -17,7 +17,7 @@ from drivers.plant import ArmConfig, CapsuleConfig, Plant
 from drivers.plant.transforms import quaternion, rigid, transform_points
 from drivers.trackers.simulated import SimulatedTracker
 from tests.approved import assert_refused
-from tests.arms import OFF_AXIS, UR10, at_station, plant_of
+from tests.arms import OFF_AXIS, UR10, at_station, dh_frames, plant_of
 from tests.evidence.shared.changes import lengthened, link_moved, zero_shifted
 from tests.sure import sure
 
@@ -103,7 +103,7 @@ def _capsules(arm, frames):
     return [((poses[f] @ [*s, 1.0])[:3], (poses[f] @ [*e, 1.0])[:3], r, f) for f, s, e, r in ends]
 
 
-def test_the_collision_monitor_finds_the_smallest_distance_of_a_motion(make_arm, make_config, dh_frames):
+def test_the_collision_monitor_finds_the_smallest_distance_of_a_motion(make_arm, make_config):
     left, right = make_arm(), make_arm("ur5", "right", 1.5)
     plant = Plant(make_config(left, right), watch_clearance=True)
     goals = {"left": np.array([0.9, -1.0, 1.2, 0.4, 0.3, 0.0]), "right": np.array([2.4, -0.7, 1.5, 0.0, 0.5, 0.0])}

@@ -1,4 +1,4 @@
-"""Motions over time: braking along the path, and a speed slider that scales a motion in progress."""
+"""What happens over time: a measurement that is broken, warmth, sweeps on record."""
 
 from __future__ import annotations
 
@@ -12,29 +12,11 @@ from cellapp.cell.profile import load_profile
 from drivers.arms.simulated import SimulatedArm
 from drivers.plant import Plant
 from drivers.plant.mechanism import TrueBodies, inertia_torques
-from drivers.plant.motion import PlantMotion, travel
 from drivers.plant.servo import LOOKAHEAD_S
 from drivers.plant.sweep import Recorder, SweepRecord, record_sweep, recorder_of
 from drivers.trackers.protocol import TargetLost, TrackerLinkLost
 from drivers.trackers.simulated import SimulatedTracker
-from tests.sure import sure
 from tests.twin import PROFILES, small_twin
-
-START, END = np.array([0.0, 1.0]), np.array([2.0, 0.0])
-
-
-def motion() -> PlantMotion:
-    made = sure(travel(10.0, START, END, np.full(2, 1.0), np.full(2, 2.0)))
-    return made
-
-
-def at(moved: PlantMotion, time_s: float) -> np.ndarray:
-    return moved.position(np.array([time_s]))[0]
-
-
-def speed(moved: PlantMotion, time_s: float) -> np.ndarray:
-    return moved.velocity(np.array([time_s]))[0]
-
 
 # -- Scheduled actions happen at their time, in the middle of what a device does ---------------------------------------
 
@@ -66,17 +48,11 @@ def test_what_happens_during_a_measurement_breaks_it(plant: Plant) -> None:
         tracker.measure(target.p_M, 1.0)
 
 
-# -- Hidden effects of time and temperature: growth, drift, slip and sway ----------------------------------------------
-
-SHIFT, TURN = [1e-4, -2e-4, 5e-5], [1e-4, 2e-5, -3e-4]
-GROWTH = {"expansion": 23e-6, "share": 0.8, "lag": 900.0}
-
-
 # -- warmth ------------------------------------------------------------------------------------------------------------
 
 
 def test_a_given_history_agrees_with_a_simulated_one(make_arm, make_plant):
-    values = GROWTH | {"motor": 1e-6}
+    values = {"expansion": 23e-6, "share": 0.8, "lag": 900.0, "motor": 1e-6}
     lived = make_plant(make_arm(effects={"thermal_growth": values}), holding_k=10.0)
     told = make_plant(make_arm(effects={"thermal_growth": values}), holding_k=10.0)
     q, seen, time_s, air_c, joints_c = lived.q("left"), [], [], [], []
@@ -93,8 +69,6 @@ def test_a_given_history_agrees_with_a_simulated_one(make_arm, make_plant):
     assert growth > 50e-6
     assert np.abs(found - np.array(seen)).max() < 0.02 * growth
 
-
-# -- what walks and slips ----------------------------------------------------------------------------------------------
 
 # -- A sweep on record: lag of the joints, play along the path, two clocks, samples and beams that are lost ------------
 

@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import socket
-from contextlib import contextmanager
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from drivers.emulators.tracker_bridge import TrackerBridgeEmulator
 from drivers.trackers import bridge_wire as wire
-from drivers.trackers.bridge import BridgeTracker
-from drivers.trackers.protocol import Preparation
 from tests.approved import assert_refused
+from tests.drivers.trackers.bridged import NEST, client
 
 TOKEN = "correct horse battery staple"
-NEST = np.array([1.5, 2.0, -0.3])
 WAIT_S = 10.0
 
 
@@ -32,14 +28,8 @@ def bridge_with_token(make_plant):
         yield served
 
 
-@contextmanager
 def holder(bridge, **options):
-    tracker = BridgeTracker(bridge.url, timeout_s=1.0, preparation=Preparation(), **options)
-    tracker.connect()
-    try:
-        yield tracker
-    finally:
-        tracker.disconnect()
+    return client(bridge.url, timeout_s=1.0, **options)
 
 
 class Raw:

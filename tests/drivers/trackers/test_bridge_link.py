@@ -40,41 +40,21 @@ from drivers.trackers.protocol import (
 )
 from drivers.trackers.simulated import SimulatedTracker
 from tests.at_once import all_at_once, in_parallel
+from tests.drivers.trackers import bridged
+from tests.drivers.trackers.bridged import NEST, serial_cable
 from tests.drivers.trackers.fake_lmf import Scene
-from tests.drivers.trackers.virtual_serial_cable import serial_cable
 from tests.latency import attempts
 from tests.sure import sure
 
 TOKEN = "correct horse battery staple"
 QUICK_S = 0.6
-NEST = np.array([1.5, 2.0, -0.3])
+QUICKLY: dict[str, float] = {"reboot_s": 0.2, "slow_s": 1.5 * QUICK_S}
+client = partial(bridged.client, timeout_s=QUICK_S)
 
 
-@contextmanager
-def client(url: str, **options: Any) -> Iterator[BridgeTracker]:
-    values: dict[str, Any] = {"timeout_s": QUICK_S, "preparation": Preparation()}
-    tracker = BridgeTracker(url, **(values | options))
-    tracker.connect()
-    try:
-        yield tracker
-    finally:
-        tracker.disconnect()
-
-
-@contextmanager
 def over(kind, plant, **options):
-    """An emulated bridge and a client, over ``tcp`` or a ``serial`` cable."""
-    values: dict[str, Any] = {"nests": {"n": NEST}, "reboot_s": 0.2, "slow_s": 1.5 * QUICK_S} | options
-    if kind == "tcp":
-        with TrackerBridgeEmulator(plant, **values) as bridge, client(bridge.url) as tracker:
-            yield bridge, tracker
-    else:
-        with (
-            serial_cable() as (theirs, ours),
-            TrackerBridgeEmulator(plant, port=None, serial_url=theirs, **values) as bridge,
-            client(ours, timeout_s=1.0) as tracker,
-        ):
-            yield bridge, tracker
+    """An emulated bridge and a client that soon gives up."""
+    return bridged.over(kind, plant, QUICK_S if kind == "tcp" else 1.0, **(QUICKLY | options))
 
 
 @pytest.mark.parametrize("kind", ["tcp", "serial"])
@@ -253,16 +233,19 @@ def a_bridge_that_goes_for_good_ends_the_measurement_in_time(make_plant):
 # -- a slow tracker ---------------------------------------------------------------------------------------------------
 
 
-class SlowTracker:
-    """A tracker whose measurement ends when the test allows it, or with ``halt``."""
+class HeldTracker:
+    """A tracker that answers when the test allows it: it may hang, lose its link, and takes its time to measure."""
 
     def __init__(self):
-        self.begun, self.may_end, self.halted = threading.Event(), threading.Event(), threading.Event()
-        self.calls = 0
+        self.goes_on, self.begun, self.may_end, self.halted = (threading.Event() for _ in range(4))
+        self.goes_on.set()
+        self.lost = False
+        self.asked = self.connected = self.calls = 0
         self.threads = set()
 
     def connect(self):
         self.threads.add(threading.get_ident())
+        self.connected += 1
 
     def identify(self):
         return TrackerIdentity("slow", "1", "0")
@@ -277,28 +260,27 @@ class SlowTracker:
         self.threads.add(threading.get_ident())
         self.calls += 1
         self.begun.set()
-        for _ in range(200):
+        for _ in range(400):
             if self.may_end.wait(0.05):
-                return point_at(expected_M)
+                return Point(np.array(expected_M), np.eye(3) * 1e-10, 5.0, 1.0, None)
             if self.halted.is_set():
                 raise Halted("slow: a halt was requested")
         raise AssertionError("the test did not end the measurement")
 
     def confirm(self, within_s):
-        pass
+        self.asked += 1
+        assert self.goes_on.wait(PATIENT_S)
+        if self.lost:
+            raise TrackerLinkLost("tracker: unplugged")
 
     def data_age_s(self):
-        return 0.0
+        return math.inf
 
     def halt(self):
         self.halted.set()
 
     def disconnect(self):
         self.threads.add(threading.get_ident())
-
-
-def point_at(p_M):
-    return Point(np.array(p_M), np.eye(3) * 1e-10, 5.0, 1.0, None)
 
 
 def in_thread(act):
@@ -323,7 +305,7 @@ def in_thread(act):
 
 
 def a_slow_tracker_is_waited_for_longer_than_the_link_may_be_silent():
-    slow = SlowTracker()
+    slow = HeldTracker()
     with TrackerService(slow) as bridge, client(bridge.url, timeout_s=1.5) as tracker:
         outcome = in_thread(lambda: tracker.measure(NEST, 1.0))
         assert slow.begun.wait(PATIENT_S)
@@ -334,7 +316,7 @@ def a_slow_tracker_is_waited_for_longer_than_the_link_may_be_silent():
 
 
 def halt_ends_the_running_measurement():
-    slow = SlowTracker()
+    slow = HeldTracker()
     with TrackerService(slow) as bridge, client(bridge.url, timeout_s=2.0) as tracker:
         outcome = in_thread(lambda: tracker.measure(NEST, 1.0))
         assert slow.begun.wait(PATIENT_S)
@@ -345,7 +327,7 @@ def halt_ends_the_running_measurement():
 
 
 def a_client_that_reconnects_gets_the_running_measurement():
-    slow = SlowTracker()
+    slow = HeldTracker()
     with TrackerService(slow) as bridge, client(bridge.url) as tracker:
         outcome = in_thread(lambda: tracker.measure(NEST, 1.0))
         assert slow.begun.wait(PATIENT_S)
@@ -363,7 +345,7 @@ def a_client_that_reconnects_gets_the_running_measurement():
 
 
 def a_tracker_that_never_ends_is_halted_and_the_client_gets_a_timeout():
-    slow = SlowTracker()
+    slow = HeldTracker()
     with TrackerService(slow, command_s=0.3, recover_s=0.0) as bridge, client(bridge.url) as tracker:
         with pytest.raises(TrackerTimeout, match=r"did not finish 'measure' within 0\.3 s; a halt was requested"):
             tracker.measure(NEST, 1.0)
@@ -372,7 +354,7 @@ def a_tracker_that_never_ends_is_halted_and_the_client_gets_a_timeout():
 
 
 def test_a_defect_in_a_driver_does_not_end_the_bridge():
-    class Broken(SlowTracker):
+    class Broken(HeldTracker):
         def measure(self, expected_M, averaging_s):
             raise KeyError("a mistake")
 
@@ -384,7 +366,7 @@ def test_a_defect_in_a_driver_does_not_end_the_bridge():
 
 
 def a_tracker_that_cannot_be_reached_is_reported():
-    class Away(SlowTracker):
+    class Away(HeldTracker):
         def connect(self):
             raise TrackerLinkLost("no tracker at 192.168.0.1")
 
@@ -434,44 +416,6 @@ PATIENT_S = 20.0
 """Where an answer comes: a busy machine may be late."""
 
 
-class Behind:
-    """The tracker behind the bridge: it may hang, lose its link, and takes its time to measure."""
-
-    def __init__(self) -> None:
-        self.goes_on, self.measures, self.may_end = threading.Event(), threading.Event(), threading.Event()
-        self.goes_on.set()
-        self.lost = False
-        self.asked = self.connected = 0
-        self.sign_s = -math.inf
-
-    def connect(self) -> None:
-        self.connected += 1
-
-    def disconnect(self) -> None: ...
-
-    def halt(self) -> None: ...
-
-    def prepare(self, settings: object) -> None: ...
-
-    def unmet(self) -> list[str]:
-        self.confirm(1.0)
-        return ["its laser is off"]
-
-    def confirm(self, within_s: float) -> None:
-        self.asked += 1
-        assert self.goes_on.wait(20.0)
-        if self.lost:
-            raise TrackerLinkLost("tracker: unplugged")
-
-    def data_age_s(self) -> float:
-        return time.monotonic() - self.sign_s
-
-    def measure(self, expected_M: Any, averaging_s: float) -> Point:
-        self.measures.set()
-        assert self.may_end.wait(20.0)
-        return Point(NEST, np.eye(3) * 1e-10, 5.0, 1.0, None)
-
-
 class Service(TrackerService):
     """A bridge whose next answers are spoilt by ``spoil``, and that may be older than ``confirm``."""
 
@@ -505,8 +449,8 @@ def restarted(service: Service, link: Link, sequence: int) -> None:
 
 
 @contextmanager
-def bridged(kind: str = "tcp") -> Iterator[tuple[Behind, Service, BridgeTracker]]:
-    behind = Behind()
+def held(kind: str = "tcp") -> Iterator[tuple[HeldTracker, Service, BridgeTracker]]:
+    behind = HeldTracker()
     as_tracker = cast(Tracker, behind)
     with serial_cable() as (theirs, ours):
         served = {"port": None, "serial_url": theirs} if kind == "serial" else {}
@@ -535,7 +479,7 @@ def assert_at_once(tracker: BridgeTracker, words: str) -> None:
 
 @pytest.mark.parametrize("kind", ["tcp", "serial"])
 def test_the_tracker_is_asked_each_time(kind: str) -> None:
-    with bridged(kind) as (behind, _, tracker):
+    with held(kind) as (behind, _, tracker):
         assert tracker.data_age_s() == math.inf  # the bridge has answered, the tracker has not
         for n in range(1, 21):
             asked_s = time.monotonic()
@@ -546,7 +490,7 @@ def test_the_tracker_is_asked_each_time(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", ["tcp", "serial"])
 def test_a_tracker_that_hangs_behind_a_living_bridge_is_dead_and_may_come_back(kind: str) -> None:
-    with bridged(kind) as (behind, _, tracker):
+    with held(kind) as (behind, _, tracker):
         for took in attempts(known=LATEST_S):
             recovered(tracker)
             behind.goes_on.clear()
@@ -576,7 +520,7 @@ def recovered(tracker: BridgeTracker) -> None:
 
 
 def test_a_tracker_without_a_link_is_reported_at_once_and_connected_again_at_the_next_question() -> None:
-    with bridged() as (behind, _, tracker):
+    with held() as (behind, _, tracker):
         tracker.confirm(PATIENT_S)
         behind.lost = True
         assert_at_once(tracker, "^tracker: unplugged$")
@@ -589,7 +533,7 @@ def test_a_tracker_without_a_link_is_reported_at_once_and_connected_again_at_the
     ("kind", "spoil"), [("tcp", garbled), ("tcp", dropped), ("tcp", restarted), ("serial", garbled)]
 )
 def test_a_link_that_is_back_at_once_is_no_death(kind: str, spoil: Callable[[Service, Link, int], None]) -> None:
-    with bridged(kind) as (behind, service, tracker):
+    with held(kind) as (behind, service, tracker):
         for n in range(1, 6):
             service.spoil = spoil
             tracker.confirm(PATIENT_S)

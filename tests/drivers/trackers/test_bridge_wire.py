@@ -41,7 +41,7 @@ from drivers.trackers.protocol import (
     stream_of,
 )
 from tests.approved import assert_refused
-from tests.drivers.trackers.virtual_serial_cable import serial_cable
+from tests.drivers.trackers.bridged import NEST, client, over
 from tests.sure import sure
 from tests.waiting import until, within
 
@@ -212,35 +212,15 @@ def test_the_proofs_in_the_document_are_right():
 
 # -- A moving SMR over the bridge: every point comes once and in order, whatever the link does meanwhile ---------------
 
-NEST = np.array([1.5, 2.0, -0.3])
 INTERVAL_S = 0.001
 CLOCK = Imperfections(clock_offset_s=80211.0, clock_rate=20e-6, packet_jitter_s=0.04)
 
 
 @contextmanager
-def client(url: str) -> Iterator[BridgeTracker]:
-    tracker = BridgeTracker(url, timeout_s=2.0, preparation=Preparation())
-    tracker.connect()
-    try:
-        yield tracker
-    finally:
-        tracker.disconnect()
-
-
-@contextmanager
 def bridged(make_plant: Any, errors: Imperfections = CLOCK, kind: str = "tcp") -> Iterator[Any]:
     plant = make_plant(noise=False)
-    if kind == "tcp":
-        with (
-            TrackerBridgeEmulator(plant, imperfections=errors, nests={"nest": NEST}) as bridge,
-            client(bridge.url) as tracker,
-        ):
-            yield plant, bridge, tracker
-        return
-    with serial_cable() as (ours, theirs):
-        bridge = TrackerBridgeEmulator(plant, imperfections=errors, nests={"nest": NEST}, port=None, serial_url=theirs)
-        with bridge, client(ours) as tracker:
-            yield plant, bridge, tracker
+    with over(kind, plant, 2.0, imperfections=errors) as (bridge, tracker):
+        yield plant, bridge, tracker
 
 
 def passes(plant: Any, tracker: BridgeTracker, seconds: float) -> None:
@@ -291,7 +271,7 @@ def test_a_lost_beam_is_told_after_the_last_point(make_plant: Any) -> None:
         lost: list[TrackerError] = []
         tracker.start_track(NEST, 0.01, lost.append)
         passes(plant, tracker, 0.2)
-        bridge.tracker.covered.add("nest")
+        bridge.tracker.covered.add("n")
         passes(plant, tracker, 0.2)
         assert [type(error) for error in lost] == [TargetLost]
         tracker.confirm(1.0)  # the tracker itself answers now
@@ -326,7 +306,7 @@ class Resting:
 
 
 def test_a_tracker_without_a_stream_says_so_and_an_old_bridge_too() -> None:
-    with TrackerService(Resting()) as service, client(service.url) as tracker:  # type: ignore[arg-type]
+    with TrackerService(Resting()) as service, client(service.url, timeout_s=2.0) as tracker:  # type: ignore[arg-type]
         assert tracker.stream_limits() is None
         assert stream_of(tracker) is None
         with pytest.raises(TrackerError, match="does not measure an SMR while it moves"):
@@ -334,7 +314,7 @@ def test_a_tracker_without_a_stream_says_so_and_an_old_bridge_too() -> None:
     old = TrackerService(Resting())  # type: ignore[arg-type]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("drivers.trackers.bridge_server._COMMANDS", ("prepare",))
-        with old, client(old.url) as tracker:
+        with old, client(old.url, timeout_s=2.0) as tracker:
             assert stream_of(tracker) is None
 
 

@@ -68,6 +68,11 @@ def tracker(scene: Scene) -> Iterator[Make]:
         driver.disconnect()
 
 
+@pytest.fixture
+def driver(tracker: Make) -> LmfTracker:
+    return tracker()
+
+
 def tree(scene: Scene) -> Any:
     """LMF's own object of the tracker that was connected last."""
     return scene.persistent["tracker"]
@@ -199,8 +204,7 @@ def test_another_tracker_is_refused(tracker: Make, scene: Scene) -> None:
     assert (identity.model, identity.serial, identity.software) == ("AT960-LR", "750123", "firmware 2.3.0.1")
 
 
-def test_another_lmf_is_named(tracker: Make, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    driver = tracker()
+def test_another_lmf_is_named(driver: LmfTracker, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delattr(type(tree(scene).Measurement), "MeasureStationary")
     with pytest.raises(TrackerError, match=r"lacks what the driver needs: .*MeasureStationary"):
         driver.measure(LEFT, 1.0)
@@ -238,8 +242,7 @@ def test_a_tracker_without_level(tracker: Make, scene: Scene) -> None:
         tracker(address="AT960Simulator", gravity=True).prepare(Preparation())
 
 
-def test_notices(tracker: Make, scene: Scene) -> None:
-    driver = tracker()
+def test_notices(driver: LmfTracker, scene: Scene) -> None:
     assert driver.notices() == []
     scene.compatible, scene.air_sensor = False, False
     tree(scene).Compensations.Selected = None
@@ -278,8 +281,7 @@ def test_the_law_is_turned_into_cartesian(p: tuple[float, float, float]) -> None
     assert np.sqrt(np.linalg.eigvalsh(covariance)) == pytest.approx([along, across, across])
 
 
-def test_a_shaking_target(tracker: Make, scene: Scene) -> None:
-    driver = tracker()
+def test_a_shaking_target(driver: LmfTracker, scene: Scene) -> None:
     calm = driver.measure(LEFT, 1.0)
     assert calm.covariance_M == pytest.approx(ErrorLaw().covariance(LEFT))
     scene.precision_m = 80e-6
@@ -290,23 +292,20 @@ def test_a_shaking_target(tracker: Make, scene: Scene) -> None:
         driver.measure(LEFT, 1.0)
 
 
-def test_left_in_face_2_it_turns_back(tracker: Make, scene: Scene) -> None:
-    driver = tracker()
+def test_left_in_face_2_it_turns_back(driver: LmfTracker, scene: Scene) -> None:
     tree(scene).face2 = True
     driver.measure(LEFT, 1.0)
     assert tree(scene).face2 is False
 
 
-def test_the_other_arms_smr(tracker: Make, scene: Scene) -> None:
-    driver = tracker()
+def test_the_other_arms_smr(driver: LmfTracker, scene: Scene) -> None:
     scene.search_m = 2.0
     scene.hidden.add("left")
     with pytest.raises(WrongTarget, match=r"an SMR 11\d\d mm from where"):
         driver.measure(LEFT, 1.0)
 
 
-def test_a_probe_in_the_beam(tracker: Make, scene: Scene) -> None:
-    driver = tracker()
+def test_a_probe_in_the_beam(driver: LmfTracker, scene: Scene) -> None:
     scene.targets = {"T-Mac": LEFT}
     with pytest.raises(WrongTarget, match=r"locked a 'T-Mac' where a 'BRR 1\.5in'"):
         driver.measure(LEFT, 1.0)
@@ -354,8 +353,7 @@ def test_another_lmf_whose_rotation_has_other_members_says_which(tracker: Make, 
         tracker(Preparation(), probes=True).measure(LEFT, 1.0)
 
 
-def test_the_beam_breaks(tracker: Make, scene: Scene) -> None:
-    driver = tracker()
+def test_the_beam_breaks(driver: LmfTracker, scene: Scene) -> None:
     scene.beam_breaks = True
     with pytest.raises(TargetLost, match="Measurement aborted"):
         driver.measure(LEFT, 1.0)
@@ -370,8 +368,7 @@ def test_the_beam_breaks(tracker: Make, scene: Scene) -> None:
     assert driver.measure(LEFT, 1.0).p_M == pytest.approx(LEFT)
 
 
-def test_warnings_of_lmf_come_with_the_point(tracker: Make, scene: Scene) -> None:
-    driver = tracker()
+def test_warnings_of_lmf_come_with_the_point(driver: LmfTracker, scene: Scene) -> None:
     driver.measure(LEFT, 1.0)
     tree(scene).warn("Quick release opened")
     scene.flags = "AccuracyError"
@@ -392,8 +389,7 @@ def test_time_limits_are_leicas() -> None:
     assert dict(MEASURING_S) == {"fast": 2.0, "standard": 12.0, "precise": 12.0}
 
 
-def test_a_measurement_that_never_ends(tracker: Make, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    driver = tracker()
+def test_a_measurement_that_never_ends(driver: LmfTracker, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     scene.hanging = {"MeasureStationary"}
     with monkeypatch.context() as shorter:
         shorter.setattr("drivers.trackers.lmf.MEASURING_S", {"standard": SHORT_S})
@@ -406,8 +402,7 @@ def test_a_measurement_that_never_ends(tracker: Make, scene: Scene, monkeypatch:
     assert driver.measure(RIGHT, 1.0).p_M == pytest.approx(RIGHT)  # and not the late one of the left
 
 
-def test_halt(tracker: Make, scene: Scene) -> None:
-    driver = tracker()
+def test_halt(driver: LmfTracker, scene: Scene) -> None:
     driver.halt()
     assert driver.unmet() == []  # harmless without a running measurement
     assert driver.measure(LEFT, 1.0).p_M == pytest.approx(LEFT)
@@ -427,8 +422,7 @@ def test_halt(tracker: Make, scene: Scene) -> None:
     assert driver.measure(RIGHT, 1.0).p_M == pytest.approx(RIGHT)
 
 
-def test_the_link_breaks(tracker: Make, scene: Scene) -> None:
-    driver = tracker()
+def test_the_link_breaks(driver: LmfTracker, scene: Scene) -> None:
     tree(scene).drop()
     with pytest.raises(TrackerLinkLost, match=r"connection closed: Connection lost \(LMF 1\); connect again"):
         driver.measure(LEFT, 1.0)
@@ -444,8 +438,7 @@ def test_the_link_breaks(tracker: Make, scene: Scene) -> None:
 # -- whether it answers now --------------------------------------------------------------------------------------------
 
 
-def test_it_answers_now(tracker: Make, scene: Scene) -> None:
-    driver = tracker()
+def test_it_answers_now(driver: LmfTracker, scene: Scene) -> None:
     scene.laser_on = scene.quick_release = False  # what measuring lacks does not matter
     driver.confirm(LONG_S)
     assert driver.data_age_s() < LONG_S
@@ -455,8 +448,7 @@ def test_it_answers_now(tracker: Make, scene: Scene) -> None:
     assert driver.data_age_s() == math.inf
 
 
-def test_an_lmf_that_hangs_does_not_answer(tracker: Make, scene: Scene) -> None:
-    driver = tracker()
+def test_an_lmf_that_hangs_does_not_answer(driver: LmfTracker, scene: Scene) -> None:
     scene.hanging = {"QuickRelease"}
     with pytest.raises(TrackerLinkLost, match=r"LMF did not answer within 0.15 s"):
         driver.confirm(SHORT_S)
@@ -471,8 +463,7 @@ def test_an_lmf_that_hangs_does_not_answer(tracker: Make, scene: Scene) -> None:
     driver.confirm(LONG_S)
 
 
-def test_a_measurement_that_was_given_up_is_still_at_work(tracker: Make, scene: Scene) -> None:
-    driver = tracker()
+def test_a_measurement_that_was_given_up_is_still_at_work(driver: LmfTracker, scene: Scene) -> None:
     scene.hanging = {"MeasureStationary"}
 
     def measure() -> None:
@@ -510,24 +501,19 @@ def test_a_connect_that_comes_too_late_lets_go_again(scene: Scene, monkeypatch: 
 # -- LMF's continuous measurement: packets, stamps, a beam that breaks, stationary ones after it -----------------------
 
 
-def measurement(scene: Scene) -> Any:
-    return scene.persistent["tracker"].Measurement
-
-
 @pytest.mark.parametrize(("interval_s", "rate"), [(0.001, 50), (0.004, 50), (0.1, 10)])
 def test_points_come_in_packets_with_the_controllers_stamps(
-    scene: Scene, tracker: Make, interval_s: float, rate: int
+    scene: Scene, driver: LmfTracker, interval_s: float, rate: int
 ) -> None:
-    driver = tracker()
     assert stream_of(driver) is driver
     seen: list[Track] = []
     lost: list[TrackerError] = []
     driver.start_track(LEFT, interval_s, lost.append, seen.append)
-    profile = measurement(scene).Profiles.Selected
+    profile = tree(scene).Measurement.Profiles.Selected
     assert profile.TimeSeparation.Value == pytest.approx(interval_s * 1e3)
     assert profile.PacketRate.Value == rate
     for packet in range(5):
-        measurement(scene).send(20 * packet, 20)
+        tree(scene).Measurement.send(20 * packet, 20)
     track = driver.end_track()
     assert lost == []
     assert [len(one.p_M) for one in seen] == [20] * 5
@@ -539,12 +525,11 @@ def test_points_come_in_packets_with_the_controllers_stamps(
     assert driver.measure(LEFT, 1.0).p_M == pytest.approx(LEFT)  # the stationary profile is back
 
 
-def test_a_beam_that_breaks_ends_the_track(scene: Scene, tracker: Make) -> None:
-    driver = tracker()
+def test_a_beam_that_breaks_ends_the_track(scene: Scene, driver: LmfTracker) -> None:
     lost: list[TrackerError] = []
     driver.start_track(LEFT, 0.01, lost.append)
-    measurement(scene).send(0, 10)
-    scene.persistent["tracker"].lose_target()
+    tree(scene).Measurement.send(0, 10)
+    tree(scene).lose_target()
     track = driver.end_track()
     assert [type(error) for error in lost] == [TargetLost]
     assert len(track.p_M) == 10
@@ -557,11 +542,10 @@ def test_a_beam_that_breaks_ends_the_track(scene: Scene, tracker: Make) -> None:
     assert len(driver.end_track().p_M) == 0
 
 
-def test_an_error_of_lmf_ends_the_track_in_its_words(scene: Scene, tracker: Make) -> None:
-    driver = tracker()
+def test_an_error_of_lmf_ends_the_track_in_its_words(scene: Scene, driver: LmfTracker) -> None:
     lost: list[TrackerError] = []
     driver.start_track(LEFT, 0.01, lost.append)
-    measurement(scene).send(0, 0, LmfException(4712, "Overload", "Too fast."))
+    tree(scene).Measurement.send(0, 0, LmfException(4712, "Overload", "Too fast."))
     driver.end_track()
     assert "Overload: Too fast. (LMF 4712)" in str(lost[0])
 
@@ -585,8 +569,7 @@ def test_settings_that_lmf_does_not_take_are_named(scene: Scene, tracker: Make) 
 
 
 @pytest.mark.parametrize("fault", ["setting", "start"])
-def test_after_a_track_that_did_not_begin_it_measures_at_rest(scene: Scene, tracker: Make, fault: str) -> None:
-    driver = tracker()
+def test_after_a_track_that_did_not_begin_it_measures_at_rest(scene: Scene, driver: LmfTracker, fault: str) -> None:
     if fault == "setting":
         scene.ignored_settings.add("PacketRate")
     else:
@@ -594,5 +577,5 @@ def test_after_a_track_that_did_not_begin_it_measures_at_rest(scene: Scene, trac
     with pytest.raises(TrackerError, match=r"PacketRate|Not now"):
         driver.start_track(LEFT, 0.001, lambda error: None)
     assert driver.measure(LEFT, 1.0).p_M == pytest.approx(LEFT)
-    assert measurement(scene).MeasurementArrived.handlers == []
+    assert tree(scene).Measurement.MeasurementArrived.handlers == []
     assert len(driver.end_track().p_M) == 0

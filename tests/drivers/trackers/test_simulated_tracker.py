@@ -25,6 +25,7 @@ from drivers.trackers.protocol import (
 )
 from drivers.trackers.simulated import INITIALISE_S, POINTING_S, SETTLE_S, SimulatedTracker
 from tests.approved import assert_refused
+from tests.arms import dh_frames
 
 SPEED, ACCELERATION = np.full(6, 1.0), np.full(6, 2.0)
 
@@ -93,12 +94,7 @@ def _capsule_of(plant, name):
     """Ends (3,) in M and radius of the forearm of an arm at the zero position."""
     arm = next(arm for arm in plant.config.arms if arm.name == name)
     capsule = next(c for c in arm.capsules if c.frame == 3)
-    frame = np.eye(4)
-    for theta, d, a, alpha in arm.rows[:3]:
-        c, s, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)
-        rows = [[c, -s * ca, s * sa, a * c], [s, c * ca, -c * sa, a * s], [0, sa, ca, d], [0, 0, 0, 1]]
-        frame = frame @ np.array(rows)
-    frame = plant.true_T_M_B(name) @ frame
+    frame = plant.true_T_M_B(name) @ dh_frames(arm.rows, np.zeros(6))[3]
     return [frame[:3, :3] @ end + frame[:3, 3] for end in (capsule.start, capsule.end)], capsule.radius
 
 

@@ -23,7 +23,6 @@ from cellapp.estimation.calibration.identification import (
 from cellapp.estimation.calibration.least_squares import LeastSquares, Linearised, Minimum, minimise
 from cellapp.estimation.calibration.parameters import auto_set, candidate_columns, full_set, paper_set
 from cellapp.estimation.calibration.station_location import better_reading, explained
-from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import CheckFailed, InputError, NotConverged, tried, with_not_fitted
 from cellapp.interfaces.python.cell import Cell
 from cellapp.robot.kinematics.chain import (
@@ -40,7 +39,7 @@ from cellapp.robot.model import CellModel
 from cellapp.robot.model.nominal import nominal_arm
 from drivers.plant import TrueErrors
 from tests.arms import HALF_TURN, OFF_AXIS, ON_AXIS, SEVEN, UR5, UR10, at_station, dh, plant_of, true_geometry
-from tests.series import series
+from tests.series import readings_at, series
 from tests.sure import sure
 from tests.twin import PROFILES, altered, with_arm
 
@@ -61,6 +60,11 @@ def measured(rows, tool, seed, n, sigma=SIGMA):
     truth = true_geometry(nominal, rng)
     q = rng.uniform(-3, 3, (n, len(rows)))
     return nominal, truth, q, smr_positions(truth, q) + rng.normal(0.0, sigma, (n, 3))
+
+
+def distances(geometry, truth, q):
+    """From the true positions (n,) [m]."""
+    return np.linalg.norm(smr_positions(geometry, q) - smr_positions(truth, q), axis=1)
 
 
 @pytest.mark.parametrize(
@@ -117,8 +121,8 @@ def test_an_arm_is_recovered_to_the_noise_in_three_iterations(rows):
     assert found.iterations == 3
     assert found.scale == pytest.approx(SIGMA, rel=0.1)
     new = np.random.default_rng(2).uniform(-3, 3, (500, len(rows)))
-    off = np.linalg.norm(smr_positions(found.geometry, new) - smr_positions(truth, new), axis=1)
     k = len(found.names)
+    off = distances(found.geometry, truth, new)
     assert np.sqrt(np.mean(off**2)) < 1.5 * SIGMA * np.sqrt(k / 400)  # the error that k parameters of noise leave
 
 
@@ -134,10 +138,7 @@ def test_anisotropic_covariances_are_used_as_weights():
     weighted, plain = identify(start, q, p_M, sigma=covariance), identify(start, q, p_M)
     assert weighted.scale == pytest.approx(1.0, abs=0.1)
     new = rng.uniform(-3, 3, (300, 6))
-    errors = [
-        np.linalg.norm(smr_positions(found.geometry, new) - smr_positions(truth, new), axis=1).mean()
-        for found in (weighted, plain)
-    ]
+    errors = [distances(found.geometry, truth, new).mean() for found in (weighted, plain)]
     assert errors[0] < 0.3 * errors[1]
     isotropic = identify(start, q, p_M, sigma=np.full(300, 7e-6))
     same = identify(start, q, p_M, sigma=np.tile(np.eye(3) * 7e-6**2, (300, 1, 1)))
@@ -152,13 +153,9 @@ def test_robust_weights_reject_outliers(robust):
     p_M[bad] += rng.normal(0.0, 1e-3, (20, 3))
     start = start_from_nominal(nominal, q, p_M, tool_unknown=False)
     new = rng.uniform(-3, 3, (300, 6))
-
-    def error(found):
-        return np.linalg.norm(smr_positions(found.geometry, new) - smr_positions(truth, new), axis=1).mean()
-
     kept, plain = identify(start, q, p_M, robust=robust), identify(start, q, p_M)
     assert kept.converged
-    assert error(kept) < 0.25 * error(plain)
+    assert distances(kept.geometry, truth, new).mean() < 0.25 * distances(plain.geometry, truth, new).mean()
     assert np.median(kept.weights[bad]) < 0.2 < np.median(np.delete(kept.weights, bad))
 
 
@@ -202,11 +199,7 @@ def test_scatter_beyond_the_stated_uncertainty_enters_the_weights():
     assert found.scale == pytest.approx(1.0, abs=0.02)
     assert found.iterations == len(found.steps) > trusting.iterations
     new = np.random.default_rng(17).uniform(-3, 3, (300, 6))
-
-    def error(geometry):
-        return np.linalg.norm(smr_positions(geometry, new) - smr_positions(truth, new), axis=1).mean()
-
-    assert error(found.geometry) < 0.85 * error(trusting.geometry)
+    assert distances(found.geometry, truth, new).mean() < 0.85 * distances(trusting.geometry, truth, new).mean()
     # where the statement is right, nothing is added
     nominal, _, q, p_M = measured(UR10, OFF_AXIS, seed=18, n=300)
     start = start_from_nominal(nominal, q, p_M, tool_unknown=False)
@@ -215,10 +208,8 @@ def test_scatter_beyond_the_stated_uncertainty_enters_the_weights():
 
 def sixty_readings():
     one = series(1, 60)["left"]
-    return Readings(
-        configuration=np.arange(60), time_s=np.arange(60.0), q=one.q, approach=np.zeros((60, 6), np.int8), p_M=one.p_M,
-        split=tuple("identify" if k % 3 else "validate" for k in range(60)),
-    )  # fmt: skip
+    words = ["identify" if k % 3 else "validate" for k in range(60)]
+    return readings_at(one.q, one.p_M, time_s=np.arange(60.0), split=words)
 
 
 def test_fixed_parameters_keep_their_values_and_others_take_their_part():

@@ -22,7 +22,6 @@ from cellapp.estimation.calibration.calibrate import calibrate_arm, calibrate_re
 from cellapp.estimation.calibration.identification import identify_with_excess, start_from_nominal
 from cellapp.estimation.calibration.quantities import measured_quantities, refuse_odd_orientations, with_probe
 from cellapp.estimation.discovery.discover import discover_cell
-from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.chain import (
     PROBE_NAMES,
@@ -39,7 +38,7 @@ from tests.arms import true_geometry
 from tests.evidence.shared.cells import TWIN, measured_plan
 from tests.evidence.shared.estimates import merged_values
 from tests.evidence.shared.series import load_entrant, sample_rows
-from tests.series import twin
+from tests.series import readings_at, twin
 from tests.sure import sure
 from tests.twin import altered
 
@@ -67,16 +66,8 @@ def measured(geometry, n, seed, *, noise=1.0, wrist_down=False):
         q[:, 3], q[:, 4] = -q[:, 1] - q[:, 2] - np.pi / 2.0, -np.pi / 2.0
     noises = noise * SIGMA_M * rng.standard_normal((n, 3)), noise * SIGMA_RAD * rng.standard_normal((n, 3))
     R_M_S = Rotation.from_rotvec(noises[1]).as_matrix() @ probe_rotations(geometry, q)
-    return Readings(
-        configuration=np.arange(n),
-        time_s=np.full(n, np.nan),
-        q=q,
-        approach=np.zeros(q.shape, dtype=np.int8),
-        p_M=smr_positions(geometry, q) + noises[0],
-        sigma_m=np.full(n, SIGMA_M),
-        quaternion_M=np.roll(Rotation.from_matrix(R_M_S).as_quat(), 1, axis=1),
-        split=tuple("validate" if row % 5 == 4 else "identify" for row in range(n)),
-    )
+    quaternion_M = np.roll(Rotation.from_matrix(R_M_S).as_quat(), 1, axis=1)
+    return readings_at(q, smr_positions(geometry, q) + noises[0], sigma_m=SIGMA_M, quaternion_M=quaternion_M, split=5)
 
 
 def start_of(readings, nominal):

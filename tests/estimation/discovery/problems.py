@@ -17,7 +17,6 @@ from cellapp.estimation.discovery.discover import discover_cell
 from cellapp.estimation.discovery.joint_fit import ProjectedResidual
 from cellapp.estimation.discovery.outcome import CellDiscovery
 from cellapp.estimation.discovery.search.scan import LawScan
-from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import ActsOn, EffectColumn, LawForm
 from cellapp.robot.kinematics.chain import Geometry
@@ -25,6 +24,7 @@ from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel, CellModel
 from cellapp.robot.model.nominal import bodies_of, nominal_arm
 from tests.arms import STATION
+from tests.series import readings_at
 
 N = 300
 """Coordinates."""
@@ -94,16 +94,13 @@ def data_of(
     profile: Profile, q: Array, approach: Array, p_M: Array, sigma_m: float | None, time_s: Array | None = None
 ) -> ArmData:
     """Readings of the left arm; no times if None."""
-    n, model = len(q), arm_of(profile)
-    readings = Readings(
-        configuration=np.arange(n, dtype=np.int64),
-        time_s=np.full(n, np.nan) if time_s is None else time_s,
-        q=q,
-        approach=approach.astype(np.int8),
-        p_M=p_M,
-        sigma_m=None if sigma_m is None else np.full(n, sigma_m),
-    )
-    return ArmData.of(ArmReadings.alone(profile, "left", model, readings))
+    readings = readings_at(q, p_M, time_s=time_s, approach=approach, sigma_m=sigma_m)
+    return ArmData.of(ArmReadings.alone(profile, "left", arm_of(profile), readings))
+
+
+def only(joint: int, values: Array) -> Array:
+    """Offsets (n, 6) of one joint, counted from 1."""
+    return values[:, None] * (np.arange(1, 7) == joint)
 
 
 def calibrated_and_searched(run: RunFile) -> CellDiscovery:

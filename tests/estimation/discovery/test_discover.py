@@ -28,20 +28,19 @@ from cellapp.estimation.discovery.arm_data import has_smooth_terms
 from cellapp.estimation.discovery.discover import Searched, discover_arm, search_rows
 from cellapp.estimation.discovery.outcome import HeldOut
 from cellapp.estimation.discovery.records import with_effects
-from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import NotConverged
 from cellapp.ground.progress import Cancelled, JobSteps, JobToken
-from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
+from cellapp.robot.effects import EFFECTS, MeasurementConditions
 from cellapp.robot.kinematics.chain import flange_poses, smr_positions
 from cellapp.robot.kinematics.transforms import rotation_vectors
 from cellapp.robot.model import CellModel
 from cellapp.robot.model.nominal import nominal_arm
 from drivers.plant import suggest
-from tests.arms import true_geometry
+from tests.arms import effect_term, true_geometry
 from tests.cell.run.small_runs import import_csv
 from tests.estimation.discovery.problems import calibrated_and_searched
 from tests.evidence.shared.series import load_entrant, sample_rows
-from tests.series import twin
+from tests.series import readings_at, twin
 from tests.sure import sure
 from tests.twin import altered
 
@@ -66,19 +65,9 @@ def measured_run(folder, plan, effects, seed=7, noise_seed=0):
 
     def fill(run):
         for name, q in plan.items():
-            approach = np.sign(np.diff(np.vstack([np.zeros(6), q]), axis=0)).astype(np.int8)
-            points, covariance = plant.measure_positions(
-                plant.smr_positions(name, q, approach=approach.astype(np.float64)), rng
-            )
-            readings = Readings(
-                configuration=np.arange(len(q)),
-                time_s=np.arange(len(q), dtype=np.float64),
-                q=q,
-                approach=approach,
-                p_M=points,
-                covariance_M=covariance,
-            )
-            run.add_readings(name, readings)
+            approach, time_s = np.sign(np.diff(np.vstack([np.zeros(6), q]), axis=0)), np.arange(float(len(q)))
+            p_M, covariance_M = plant.measure_positions(plant.smr_positions(name, q, approach=approach), rng)
+            run.add_readings(name, readings_at(q, p_M, approach=approach, time_s=time_s, covariance_M=covariance_M))
 
     return RunFile.create(folder, profile, fill)
 
@@ -339,17 +328,9 @@ def readings_of(geometry, q, true, rng):
     n = len(q)
     none = smr_positions(geometry, true, np.tile(np.eye(3), (n, 1, 1)))  # rotation vectors of the orientations
     R_M_S = Rotation.from_rotvec(SIGMA_RAD * rng.standard_normal((n, 3))) * Rotation.from_rotvec(none)
-    return Readings(
-        configuration=np.arange(n),
-        time_s=np.full(n, np.nan),
-        q=q,
-        approach=np.zeros(q.shape, dtype=np.int8),
-        p_M=smr_positions(geometry, true) + SIGMA_M * rng.standard_normal((n, 3)),
-        sigma_m=np.full(n, SIGMA_M),
-        quaternion_M=np.roll(R_M_S.as_quat(), 1, axis=1),
-        sigma_rad=np.full(n, SIGMA_RAD),
-        split=tuple("validate" if row % 3 == 2 else "identify" for row in range(n)),
-    )
+    p_M, quaternion_M = smr_positions(geometry, true) + SIGMA_M * rng.standard_normal((n, 3)), R_M_S.as_quat()
+    angular = {"quaternion_M": np.roll(quaternion_M, 1, axis=1), "sigma_rad": SIGMA_RAD}
+    return readings_at(q, p_M, sigma_m=SIGMA_M, split=3, **angular)
 
 
 @pytest.fixture(scope="module")
@@ -394,8 +375,8 @@ def test_stated_intervals_of_orientations_hold(both):
 
 def test_commands_put_the_flange_where_base_and_links_turn_it(both):
     """A model with a soft pedestal is inverted: position and orientation are then both as wanted."""
-    law, nothing = EFFECTS["pedestal_compliance"].law("isotropic"), np.zeros(1)
-    tilting = EffectTerm("pedestal_compliance", ("pedestal_tilt",), np.array([SOFT]), nothing, ("rad/Nm",), law)
+    law = EFFECTS["pedestal_compliance"].law("isotropic")
+    tilting = effect_term("pedestal_compliance", {"pedestal_tilt": SOFT}, "rad/Nm", law=law)
     found = both[1]["both"].model
     model = replace(found, effects=(*found.effects, tilting))
     q = np.random.default_rng(5).uniform(-1.5, 1.5, (5, 6))

@@ -25,13 +25,13 @@ from cellapp.estimation.discovery.records import (
 )
 from cellapp.estimation.discovery.search.state import FitScatter
 from cellapp.estimation.discovery.verdict import CHANCE, remaining_structure, verdict
-from cellapp.estimation.readings import Readings
 from cellapp.robot.effects import EFFECTS, EffectColumn, EffectTerm, Wave, joint_column
 from cellapp.robot.effects.data_driven import Quantity, Variable
 from cellapp.robot.kinematics.chain import parameter_names, smr_positions
 from cellapp.robot.model.nominal import nominal_arm
 from tests.arms import STATION
-from tests.estimation.discovery.problems import arm_of
+from tests.estimation.discovery.problems import arm_of, only
+from tests.series import readings_at
 from tests.sure import sure
 from tests.twin import PROFILES, altered
 
@@ -117,15 +117,9 @@ def discovered(sign: int) -> ArmDiscoveryResult:
     profile = altered(profile, discovery={"null_simulations": 60, "false_alarm": 0.02})
     model, rng = arm_of(profile), np.random.default_rng(5)
     q, approach = rng.uniform(-2.5, 2.5, (STOPS, 6)), rng.choice([-1, 1], (STOPS, 6))
-    readings = Readings(
-        configuration=np.arange(STOPS, dtype=np.int64),
-        time_s=np.full(STOPS, np.nan),
-        q=q,
-        approach=(sign * approach).astype(np.int8),
-        p_M=smr_positions(model.geometry, q - HALF_PLAY * approach) + rng.normal(0.0, SIGMA_M, (STOPS, 3)),
-        sigma_m=np.full(STOPS, SIGMA_M),
-        split=("identify",) * (STOPS - HELD_OUT) + ("validate",) * HELD_OUT,
-    )
+    p_M = smr_positions(model.geometry, q - HALF_PLAY * approach) + rng.normal(0.0, SIGMA_M, (STOPS, 3))
+    split = ("identify",) * (STOPS - HELD_OUT) + ("validate",) * HELD_OUT
+    readings = readings_at(q, p_M, approach=sign * approach, sigma_m=SIGMA_M, split=split)
     return discover_arm(ArmReadings.alone(profile, "left", model, readings)).result
 
 
@@ -211,14 +205,8 @@ def fitted(bend, *terms, off_axis_m=0.1):
     rng = np.random.default_rng(3)
     q = rng.uniform(-2.5, 2.5, (N, 6))
     approach = rng.choice([-1, 1], (N, 6)).astype(np.int8)
-    readings = Readings(
-        configuration=np.arange(N, dtype=np.int64),
-        time_s=60.0 * np.arange(N, dtype=np.float64),
-        q=q,
-        approach=approach,
-        p_M=smr_positions(geometry, q + bend(q, approach)) + rng.normal(0.0, SIGMA_M, (N, 3)),
-        sigma_m=np.full(N, SIGMA_M),
-    )
+    p_M = smr_positions(geometry, q + bend(q, approach)) + rng.normal(0.0, SIGMA_M, (N, 3))
+    readings = readings_at(q, p_M, time_s=60.0 * np.arange(N), approach=approach, sigma_m=SIGMA_M)
     model = arm_of(profile, geometry)
     data = ArmData.of(ArmReadings.alone(profile, "left", model, readings))
     return data, fit_terms(data, tuple(terms))
@@ -233,13 +221,6 @@ def made(bend, *terms, off_axis_m=0.1):
         assert min(picture.band) >= 0.0
         json.dumps(picture.model_dump(), allow_nan=False)
     return found
-
-
-def only(joint, values):
-    """Offsets of one joint (counted from 1)."""
-    bent = np.zeros((len(values), 6))
-    bent[:, joint - 1] = values
-    return bent
 
 
 def test_fast_lines_are_laid_over_one_another_and_slow_ones_are_not():

@@ -29,12 +29,12 @@ from cellapp.estimation.discovery.outcome import CellDiscovery
 from cellapp.estimation.discovery.posterior import posteriors
 from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.search.state import Review, possible_score
-from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import ActsOn, EffectColumn
 from drivers.no_driver import NoDriver
 from tests.estimation.discovery.problems import PLAIN, calibrated_and_searched, problem, proposed
 from tests.program import app
+from tests.series import readings_at
 from tests.sure import sure
 from tests.twin import altered, small_twin, with_arms
 
@@ -65,20 +65,9 @@ def measured_run(folder: Path, effects: Mapping[str, Any], plan: dict[str, np.nd
             step = 0.3 * np.sign(step) if tied else step
             exact = plant.smr_positions(name, q, last_step=step, since_rest_s=np.full(STOPS, DWELL_S))
             p_M, covariance_M = plant.measure_positions(exact, rng)
-            run.add_readings(
-                name,
-                Readings(
-                    configuration=np.arange(STOPS),
-                    time_s=np.linspace(20.0, 20.0 * STOPS, STOPS),
-                    q=q,
-                    approach=np.sign(step).astype(np.int8),
-                    p_M=p_M,
-                    payload_kg=np.full(STOPS, 0.3),
-                    step=step,
-                    dwell_s=np.full(STOPS, DWELL_S),
-                    covariance_M=covariance_M,
-                ),
-            )
+            told = {"payload_kg": 0.3, "dwell_s": DWELL_S, "step": step, "covariance_M": covariance_M}
+            time_s = np.linspace(20.0, 20.0 * STOPS, STOPS)
+            run.add_readings(name, readings_at(q, p_M, time_s=time_s, approach=np.sign(step), **told))
 
     return RunFile.create(folder, profile, fill)
 

@@ -43,7 +43,7 @@ from cellapp.robot.effects import ActsOn, EffectColumn, LawForm
 from cellapp.robot.effects.context import Wave
 from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.model.model import network_to_json
-from tests.estimation.discovery.problems import arm_of, data_of
+from tests.estimation.discovery.problems import arm_of, data_of, only
 from tests.evidence.shared.series import load_entrant
 from tests.sure import sure
 from tests.twin import PROFILES, small_twin
@@ -62,13 +62,6 @@ def fitted(n, bend=None, *, noise=None, seed=5, stated=True, times=True) -> tupl
     p_M = smr_positions(arm_of(PROFILE).geometry, q + offset) + scatter
     data = data_of(PROFILE, q, approach, p_M, SIGMA_M if stated else None, time_s if times else None)
     return data, fit_terms(data, ())
-
-
-def only(joint, values):
-    """Offsets of one joint (counted from 1)."""
-    bent = np.zeros((len(values), 6))
-    bent[:, joint - 1] = values
-    return bent
 
 
 @pytest.mark.parametrize(

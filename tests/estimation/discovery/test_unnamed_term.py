@@ -21,6 +21,7 @@ from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel, CellModel
 from cellapp.robot.model.nominal import bodies_of, nominal_arm
 from tests.arms import STATION
+from tests.series import readings_at
 from tests.sure import sure
 from tests.twin import PROFILES
 
@@ -42,15 +43,9 @@ def readings_of(factor: float) -> Readings:
 
 def measured(q: Array, moved: Array, factor: float, rng: np.random.Generator) -> Readings:
     """Readings of joints that are off by ``moved`` (N, 6) [rad]."""
-    return Readings(
-        configuration=np.arange(N, dtype=np.int64),
-        time_s=60.0 * np.arange(N, dtype=np.float64),
-        q=q,
-        approach=np.zeros((N, 6), dtype=np.int8),
-        p_M=smr_positions(GEOMETRY, q + moved) + rng.normal(0.0, SIGMA_M, (N, 3)),
-        sigma_m=np.full(N, factor * SIGMA_M),
-        split=("identify",) * LEARNT + ("validate",) * (N - LEARNT),
-    )
+    p_M = smr_positions(GEOMETRY, q + moved) + rng.normal(0.0, SIGMA_M, (N, 3))
+    split = ("identify",) * LEARNT + ("validate",) * (N - LEARNT)
+    return readings_at(q, p_M, time_s=60.0 * np.arange(N), sigma_m=factor * SIGMA_M, split=split)
 
 
 @pytest.mark.parametrize("factor", [1.0, pytest.param(30.0, marks=pytest.mark.slow)])

@@ -93,8 +93,6 @@ def test_velocity_of_two_cycles_worked_by_hand() -> None:
 
 # -- The norm's cube: planes, poses, and the largest cube of a lattice -------------------------------------------------
 
-CENTRE, EDGE = np.array([0.3, -0.4, 0.5]), 0.6
-
 
 def test_planes_are_the_four_that_hold_an_upper_edge_and_the_opposite_lower_one() -> None:
     assert sorted(CYCLE) == sorted(POSES)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -11,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cellapp.cell.driving.cell import Cell, open_cell
+from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.iso9283 import programme, tests
 from cellapp.cell.driving.iso9283 import tests as driving
 from cellapp.cell.driving.iso9283.programme import ChosenCube, CubeSearch, choose_cube, published_cell
@@ -39,7 +38,7 @@ from drivers.trackers.simulated import SimulatedTracker
 from tests.cell.planning.planned_cells import one_arm, seven_joints, three_arms
 from tests.crossed_beam import crossed_beam
 from tests.sure import sure
-from tests.twin import altered, plant_of, small_twin
+from tests.twin import altered, opening, plant_of, small_twin
 
 REPEATABILITY_RAD = 5e-5
 
@@ -269,20 +268,11 @@ def test_other_cells_find_cubes_that_the_gate_accepts(cell: Callable[[], Profile
 # -- faults ------------------------------------------------------------------------------------------------------------
 
 
-@contextmanager
-def watched(cells: list[Cell], change: Callable[[Cell], Cell], profile: Profile) -> Iterator[Cell]:
-    with open_cell(profile) as cell:
-        cells.append(change(cell))
-        yield cells[-1]
-
-
 @pytest.fixture
 def cells(monkeypatch: pytest.MonkeyPatch) -> list[Cell]:
     """The cells that are opened."""
     opened: list[Cell] = []
-    monkeypatch.setattr(
-        "cellapp.cell.driving.supervision.open_cell", lambda profile, **_: watched(opened, lambda cell: cell, profile)
-    )
+    monkeypatch.setattr("cellapp.cell.driving.supervision.open_cell", opening(opened.append))
     return opened
 
 
@@ -362,25 +352,9 @@ def test_a_person_stops_the_test(verb: str, cells: list[Cell]) -> None:
     assert not plant_of(cells[0]).moving("left")
 
 
-class RestingTracker:
-    """A tracker whose driver measures at rest only."""
-
-    def __init__(self, tracker: Any) -> None:
-        self._tracker = tracker
-
-    def __getattr__(self, name: str) -> Any:
-        if name in ("start_track", "end_track"):
-            raise AttributeError(name)
-        return getattr(self._tracker, name)
-
-
 def test_paths_are_refused_by_name_where_the_tracker_cannot_follow(monkeypatch: pytest.MonkeyPatch) -> None:
     task = task_of(cell_of(one_arm()), "path")
-    opened: list[Cell] = []
-    resting: Callable[[Cell], Cell] = lambda cell: replace(cell, tracker=RestingTracker(cell.tracker))  # noqa: E731
-    monkeypatch.setattr(
-        "cellapp.cell.driving.supervision.open_cell", lambda profile, **_: watched(opened, resting, profile)
-    )
+    monkeypatch.setattr(SimulatedTracker, "stream_limits", lambda tracker: None)
     findings, _ = driven(task)
     assert findings.refused["left"]["path"] == "this tracker's driver cannot measure a moving SMR"
     assert missing_words(findings, task.tests) == ("arm left: this tracker's driver cannot measure a moving SMR",)

@@ -19,7 +19,6 @@ from cellapp.estimation.motion.identify import RecordedArm, identify_from_motion
 from cellapp.estimation.motion.laws import JointLaw, JointTerm, joint_path, of_all_joints, state_in_motion
 from cellapp.estimation.motion.search_state import LawStep, State, effects_of
 from cellapp.estimation.motion.streams import JointStream
-from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import DiscoverySettings
 from cellapp.ground.threads import one_blas_thread
 from cellapp.robot.effects import EFFECTS, EffectContext, Linear, MeasurementConditions, motion_laws, own_law
@@ -30,6 +29,7 @@ from tests.arms import UR10
 from tests.estimation.motion.simulated import Arm, corners, record, sweep, true_arm
 from tests.interfaces.plugins.installed import EXAMPLE, add_distribution, installed
 from tests.robot.effects.cell import context_of
+from tests.series import readings_at
 from tests.sure import sure
 
 NOMINAL = nominal_geometry(UR10, np.zeros(3))
@@ -240,13 +240,7 @@ def test_dense_lines_and_play_enter_the_model_and_a_lag_does_not():
     )
     motion = sweep(rng, 6)
     recordings = {"left": (record(rng, arm, motion, seconds=100.0, point_hz=50.0, slow=10e-6),)}
-    none = Readings(
-        configuration=np.zeros(0, dtype=np.int64),
-        time_s=np.zeros(0),
-        q=np.zeros((0, 6)),
-        approach=np.zeros((0, 6), dtype=np.int8),
-        p_M=np.zeros((0, 3)),
-    )
+    none = readings_at(np.zeros((0, 6)), np.zeros((0, 3)))
     with one_blas_thread():
         calibrated, of_arms = calibrate_with_motion(QUICK, {"left": none}, recordings)
         model = calibrated.model

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,10 +16,11 @@ from cellapp.estimation.prior.belief import Belief
 from cellapp.estimation.prior.calibrate import Earlier, believed
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile
-from cellapp.robot.effects import EFFECTS, EffectTerm
+from cellapp.robot.effects import EFFECTS
 from cellapp.robot.kinematics.transforms import rotation_from_vector, transform
 from cellapp.robot.model import ArmModel
-from tests.arms import measured_rotations, true_geometry
+from tests.arms import effect_term, measured_rotations, true_geometry
+from tests.series import readings_at
 from tests.twin import PROFILES
 
 SIGMA_M, SIGMA_RAD = 1e-5, 2e-5
@@ -39,20 +41,11 @@ class SimulatedArm:
         q = rng.uniform(-2.0, 2.0, (count, 6))
         p_M = self.model.predict(q) + rng.normal(0.0, SIGMA_M, (count, 3))
         learn = count - 1 if learn is None else learn
-        quaternion_M = None
+        angular: dict[str, Any] = {}
         if self.model.geometry.probe is not None:
-            quaternion_M = measured_rotations(self.model, q, SIGMA_RAD, rng)
-        return Readings(
-            quaternion_M=quaternion_M,
-            sigma_rad=None if quaternion_M is None else np.full(count, SIGMA_RAD),
-            configuration=np.arange(count),
-            time_s=np.full(count, np.nan),
-            q=q,
-            approach=np.zeros((count, 6), dtype=np.int8),
-            p_M=p_M,
-            sigma_m=np.full(count, SIGMA_M),
-            split=tuple("identify" if k < learn else "validate" for k in range(count)),
-        )
+            angular = {"quaternion_M": measured_rotations(self.model, q, SIGMA_RAD, rng), "sigma_rad": SIGMA_RAD}
+        split = ("identify",) * learn + ("validate",) * (count - learn)
+        return readings_at(q, p_M, sigma_m=SIGMA_M, split=split, **angular)
 
     def mounted(self, T_M_B: np.ndarray, tool: np.ndarray) -> SimulatedArm:
         """The same arm on another base with another tool."""
@@ -77,30 +70,14 @@ ELSEWHERE = transform(rotation_from_vector([0.3, 0.2, -1.1]), [1.9, -1.4, 0.3])
 def arm() -> SimulatedArm:
     profile = load_profile(PROFILES / "twin.yaml")
     profile = profile.model_copy(update={"arms": {"left": profile.arms["left"]}})
-    empty = Readings(
-        configuration=np.arange(30),
-        time_s=np.full(30, np.nan),
-        q=np.random.default_rng(0).uniform(-2, 2, (30, 6)),
-        approach=np.zeros((30, 6), dtype=np.int8),
-        p_M=np.random.default_rng(1).uniform(-1, 1, (30, 3)),
-        split=("identify",) * 29 + ("validate",),
-    )
+    q, p_M = np.random.default_rng(0).uniform(-2, 2, (30, 6)), np.random.default_rng(1).uniform(-1, 1, (30, 3))
+    empty = readings_at(q, p_M, split=30)
     model = calibrate_arm(profile, "left", empty)[0].model
     start = transform(rotation_from_vector([0.0, 0.0, 2.0]), [2.6, 0.9, -0.7])
     geometry = true_geometry(model.nominal.with_T_M_B(start), np.random.default_rng(5))
+    values = {f"compliance{joint}": value for joint, value in enumerate(STIFF.tolist(), start=2)}
     law = EFFECTS["joint_compliance"].forms[0].law()
-    columns = EFFECTS["joint_compliance"].columns(model.context(empty.q), law)
-    some = [column for column in columns if column.name.startswith("compliance") and column.index in range(1, 6)]
-    assert len(some) == len(STIFF)
-    values = STIFF
-    term = EffectTerm(
-        "joint_compliance",
-        tuple(column.name for column in some),
-        values,
-        0.0 * values,
-        tuple(column.unit for column in some),
-        law,
-    )
+    term = effect_term("joint_compliance", values, "rad/Nm", law=law)
     return SimulatedArm(profile, replace(model, geometry=geometry, effects=(term,), network=None, posterior=None))
 
 

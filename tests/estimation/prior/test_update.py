@@ -29,9 +29,10 @@ from cellapp.estimation.prior.calibrate import Earlier, SearchWithPriors, believ
 from cellapp.estimation.prior.update import Updated, first_model, update
 from cellapp.ground.errors import InputError, NotConverged
 from cellapp.ground.profile import Profile
-from cellapp.robot.effects import EFFECTS, EffectTerm
+from cellapp.robot.effects import EFFECTS
 from cellapp.robot.kinematics.chain import parameter_names, smr_positions
 from cellapp.robot.kinematics.transforms import rotation_vectors
+from tests.arms import effect_term
 from tests.cell.run.small_runs import import_csv
 from tests.estimation.prior.conftest import ELSEWHERE, SimulatedArm, earlier_of
 from tests.sure import sure
@@ -153,9 +154,7 @@ def test_an_effect_that_appeared_is_found_beside_what_was_carried_over(arm: Simu
     law = EFFECTS["encoder_eccentricity"].forms[0].law()
     readings = arm.readings(70, seed=6, learn=40)
     columns = EFFECTS["encoder_eccentricity"].columns(arm.model.context(readings.q), law)
-    some = [column for column in columns if column.joint == 1]
-    names, units = tuple(column.name for column in some), tuple(column.unit for column in some)
-    new = EffectTerm("encoder_eccentricity", names, np.full(len(some), 1e-4), np.zeros(len(some)), units, law)
+    new = effect_term("encoder_eccentricity", {one.name: 1e-4 for one in columns if one.joint == 1}, law=law)
     worn = replace(arm, model=replace(arm.model, effects=(*arm.model.effects, new))).mounted(ELSEWHERE, TOOL)
     readings = worn.readings(70, seed=6, learn=40)
     measured = ArmReadings.alone(worn.profile, "left", worn.model, readings)

@@ -5,12 +5,10 @@ from __future__ import annotations
 import os
 import time
 import traceback
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +20,6 @@ from cellapp.ground.control import Aborted, Stopped
 from cellapp.ground.errors import CellappError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import AirLimits, Collection, Reference, Suspend, Suspension
-from cellapp.ground.progress import UNATTENDED, JobToken
 from drivers.sensors.simulated_settings import SimulatedAirSensorSettings
 from tests.evidence.campaigning.doubles import ProgramKilled
 from tests.evidence.campaigning.faults import Fault, sample_faults
@@ -37,7 +34,6 @@ Plan = Mapping[str, NDArray[np.float64]]
 """Arm -> joint positions (n, N) [rad] of the planned stops and the reserves after them."""
 Targets = Mapping[str, NDArray[np.float64]]
 """Arm -> joint positions (N,) [rad]."""
-Ended = Literal["complete", "accurate enough", "stopped", "aborted", "failed", "killed"]
 
 STOPS_TO_A_FAULT = 8
 """Mean number of stops between two faults."""
@@ -61,8 +57,6 @@ class Campaign:
         What must not be, and was; empty for a campaign as it should be.
     struck : mapping
         Fault -> how often it struck while a program ran.
-    ended : mapping
-        How sessions ended -> how often.
     seconds : float
         Processor time, in one thread [s].
     digest : str
@@ -74,12 +68,8 @@ class Campaign:
     seconds: float
     simulated_s: float
     struck: Mapping[str, int]
-    ended: Mapping[str, int]
-    holds: int
-    suspensions: int
     readings: int
     missing: int
-    clearance_m: float
     digest: str
 
 
@@ -136,35 +126,17 @@ class Bench:
     gate: RememberingGate = field(default_factory=RememberingGate)
 
 
-def make_bench(profile: Profile, stops: int, job: JobToken = UNATTENDED) -> Bench:
+def make_bench(profile: Profile, stops: int) -> Bench:
     """Plan the stops of ``profile`` and run the campaign without faults.
 
     Raises ``InputError`` if the profile has no simulated cell, or ``CellappError`` if already that campaign fails.
     """
     bare = campaign_profile(profile, stops)
-    bench = Bench(bare, plan_stops(bare, job=job))
+    bench = Bench(bare, plan_stops(bare))
     campaign, estimates = run_campaign(bench, 0)
     if campaign.failures:
         raise CellappError(f"trials campaigns: the campaign without faults failed: {campaign.failures[0]}")
     return replace(bench, undisturbed=estimates)
-
-
-@dataclass
-class _Sessions:
-    """How the sessions of a campaign ended."""
-
-    ended: Counter[str] = field(default_factory=Counter)
-    last: str = ""
-    reason: str = ""
-
-    def count(self, word: Ended, reason: str = "") -> None:
-        self.ended[word] += 1
-        self.last, self.reason = word, reason
-
-    @property
-    def complete(self) -> bool:
-        """Whether all is collected."""
-        return self.last in ("complete", "accurate enough")
 
 
 def run_campaign(bench: Bench, seed: int) -> tuple[Campaign, dict[str, ArmEstimate]]:
@@ -172,15 +144,11 @@ def run_campaign(bench: Bench, seed: int) -> tuple[Campaign, dict[str, ArmEstima
 
     A bench without ``undisturbed`` gets no faults. The run file is in memory, where the system has such a folder.
     """
-    with TemporaryDirectory(prefix="campaign-", dir=_memory()) as folder:
+    memory = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
+    with TemporaryDirectory(prefix="campaign-", dir=memory) as folder:
         began_s = time.process_time()
         campaign, estimates = _run(bench, seed, Path(folder))
         return replace(campaign, seconds=time.process_time() - began_s), estimates
-
-
-def _memory() -> str | None:
-    """A folder in memory, None without one."""
-    return "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
 
 
 def _run(bench: Bench, seed: int, folder: Path) -> tuple[Campaign, dict[str, ArmEstimate]]:
@@ -193,8 +161,7 @@ def _run(bench: Bench, seed: int, folder: Path) -> tuple[Campaign, dict[str, Arm
     RunFile.create(folder / "run", profile, lambda run: run.write_plan(bench.plan)).close()
     world = World(profile, seed, folder, bench.gate)
     world.expect(faults)
-    sessions = _Sessions()
-    problems = _sessions(world, sessions, rng, 10 + _SESSIONS_TO_A_FAULT * len(faults))
+    problems = _sessions(world, rng, 10 + _SESSIONS_TO_A_FAULT * len(faults))
     with RunFile.open(world.run_folder) as run:
         found = judge(world, run, bench.plan, bench.undisturbed, problems)
     campaign = Campaign(
@@ -203,51 +170,46 @@ def _run(bench: Bench, seed: int, folder: Path) -> tuple[Campaign, dict[str, Arm
         seconds=0.0,
         simulated_s=world.plant.clock_s,
         struck=dict(world.struck),
-        ended=dict(sessions.ended),
-        holds=world.monitor.counts["stopped"],
-        suspensions=world.monitor.counts["suspended"],
         readings=found.readings,
         missing=found.missing,
-        clearance_m=found.clearance_m,
         digest=world.monitor.digest(),
     )
     return campaign, found.estimates
 
 
-def _sessions(world: World, sessions: _Sessions, rng: np.random.Generator, most: int) -> tuple[Failure, ...]:
+def _sessions(world: World, rng: np.random.Generator, most: int) -> tuple[Failure, ...]:
     """Run the program again and again until all is collected; return what nobody expects."""
-    while not sessions.complete:
-        if sessions.ended.total() >= most:
-            text = f"not complete after {most} sessions; the last {sessions.last}: {sessions.reason}"
-            return (Failure("other", text),)
-        if sessions.last:
+    ended = reason = ""
+    for number in range(most):
+        if number:
             world.plant.advance(world.person.delay_s())
             world.repair()
         try:
-            _session(world, sessions, SimulatedControl(holds=bool(rng.random() < _ATTENDED)))
+            ended, reason = _session(world, SimulatedControl(holds=bool(rng.random() < _ATTENDED)), resume=number > 0)
         except Endless:
             return (Failure("other", f"does not end; simulated time is {world.plant.clock_s:.0f} s"),)
         except Exception as error:  # noqa: BLE001 - whatever the engine raises is a finding, and others go on
             where = traceback.extract_tb(error.__traceback__)[-1]
             text = f"unexpected {type(error).__name__}: {error} ({Path(where.filename).name}, line {where.lineno})"
             return (Failure("other", text),)
-    return ()
+        if ended in ("complete", "accurate enough"):
+            return ()
+    return (Failure("other", f"not complete after {most} sessions; the last {ended}: {reason}"),)
 
 
-def _session(world: World, sessions: _Sessions, control: SimulatedControl) -> None:
-    """Run the program once."""
+def _session(world: World, control: SimulatedControl, *, resume: bool) -> tuple[str, str]:
+    """Run the program once; return how it ended, and the reason of a failure."""
     run = world.begin(control)
     try:
         with control.heard_by(lambda event, _: world.person.hear(event)):
-            summary = collect_by(world.opened, run, control, resume=bool(sessions.last))
-        sessions.count(summary.outcome)
+            return collect_by(world.opened, run, control, resume=resume).outcome, ""
     except ProgramKilled:
-        sessions.count("killed")
+        return "killed", ""
     except Aborted:
-        sessions.count("aborted")
+        return "aborted", ""
     except Stopped:
-        sessions.count("stopped")
+        return "stopped", ""
     except CellappError as error:
-        sessions.count("failed", str(error))
+        return "failed", str(error)
     finally:
         world.end(run)

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.arms.protocol import ArmError, ArmState, FaultListener, HostStalled, LinkLost
+from drivers.arms.protocol import ArmError, ArmState, HostStalled, LinkLost
 from drivers.arms.simulated import SimulatedArm
 from drivers.plant import Plant
 from drivers.sensors.protocol import AirReading, SensorLinkLost
@@ -39,6 +40,17 @@ class Process:
             raise ProgramKilled
 
 
+class Guarded:
+    """A device as the program has it: a dead program dies at every use of one."""
+
+    def __init__(self, device: object, process: Process) -> None:
+        self._device, self._process = device, process
+
+    def __getattr__(self, name: str) -> Any:
+        self._process.check()
+        return getattr(self._device, name)
+
+
 class CampaignArm(SimulatedArm):
     """A simulated arm with the faults of a controller.
 
@@ -58,9 +70,9 @@ class CampaignArm(SimulatedArm):
         What happens at the last instant before its next motion begins, or before it is connected next.
     """
 
-    def __init__(self, plant: Plant, name: str, process: Process, monitor: Monitor) -> None:
+    def __init__(self, plant: Plant, name: str, monitor: Monitor) -> None:
         super().__init__(plant, name)
-        self._process, self._monitor = process, monitor
+        self._monitor = monitor
         self._stalled = False
         self.unready = ""
         self.slider = 1.0
@@ -72,10 +84,6 @@ class CampaignArm(SimulatedArm):
 
     # -- the protocol --------------------------------------------------------------------------------------------------
 
-    def _link(self) -> None:
-        self._process.check()
-        super()._link()
-
     def _no_fault(self) -> None:
         super()._no_fault()
         if self._stalled:
@@ -85,7 +93,6 @@ class CampaignArm(SimulatedArm):
 
     def connect(self) -> None:
         """Open the link. Raises ``LinkLost`` while it is cut, or why the arm would refuse to move."""
-        self._process.check()
         act, self.as_it_connects = self.as_it_connects, None
         super().connect()
         if act is not None:
@@ -96,11 +103,6 @@ class CampaignArm(SimulatedArm):
         except ArmError:
             self._connected = False
             raise
-
-    def watch(self, listener: FaultListener) -> None:
-        """Report faults to ``listener``."""
-        self._process.check()
-        super().watch(listener)
 
     def _now(self) -> ArmState:
         reason = "the program on the controller was stopped" if self._stalled else self.unready
@@ -131,17 +133,11 @@ class CampaignArm(SimulatedArm):
 
     def brake(self) -> None:
         """Brake; impossible over a link that is cut."""
-        self._process.check()
         self._monitor.braked(self.name)
         if self._link_cut:
             self.refuse_motion()
             raise LinkLost(f"arm {self.name}: the simulated link is cut")
         super().brake()
-
-    def disconnect(self) -> None:
-        """Stop the arm and close the link."""
-        self._process.check()
-        super().disconnect()
 
     # -- faults --------------------------------------------------------------------------------------------------------
 
@@ -196,21 +192,12 @@ class CampaignTracker(SimulatedTracker):
         Whether it gives no sign of life while nothing else is asked of it.
     """
 
-    def __init__(self, plant: Plant, process: Process, monitor: Monitor) -> None:
+    def __init__(self, plant: Plant, monitor: Monitor) -> None:
         super().__init__(plant)
-        self._process, self._monitor = process, monitor
+        self._monitor = monitor
         self.shaking = False
         self.astray_m = 0.0
         self.mute = False
-
-    def connect(self) -> None:
-        """Open the link."""
-        self._process.check()
-        super().connect()
-
-    def _link(self) -> None:
-        self._process.check()
-        super()._link()
 
     def confirm(self, within_s: float) -> None:
         """Raise ``TrackerLinkLost`` while the link is cut or silent."""
@@ -228,38 +215,17 @@ class CampaignTracker(SimulatedTracker):
         self._monitor.measured(point.p_M)
         return point
 
-    def halt(self) -> None:
-        """End a running command."""
-        self._process.check()
-        super().halt()
-
-    def halted_by_other(self) -> None:
-        """End a running command, as another client of the tracker would."""
-        super().halt()
-
-    def disconnect(self) -> None:
-        """Close the link."""
-        self._process.check()
-        super().disconnect()
-
 
 class CampaignAir(SimulatedAirSensor):
     """A weather station that may fall silent (``silent``) or see other air (``warmer_k`` [K])."""
 
-    def __init__(self, plant: Plant, process: Process) -> None:
+    def __init__(self, plant: Plant) -> None:
         super().__init__(plant)
-        self._process = process
         self.silent = False
         self.warmer_k = 0.0
 
-    def connect(self) -> None:
-        """Open the link. Raises ``SensorLinkLost`` while it is silent."""
-        self._process.check()
-        super().connect()
-
     def read(self) -> AirReading:
         """Return the current air. Raises ``SensorLinkLost``."""
-        self._process.check()
         if self.silent:
             raise SensorLinkLost("air sensor: no answer")
         reading = super().read()

@@ -60,6 +60,20 @@ def sample_faults(rng: np.random.Generator, arms: Sequence[str], stops: int, cou
     return tuple(faults)
 
 
+Strike = Callable[["World", Fault], None]
+
+
+def _passing(device: str, name: str, value: object, after: object, times: float = 1.0) -> Strike:
+    """Set an attribute of a device, and set it back when ``times`` the fault's time has passed."""
+
+    def strike(world: World, fault: Fault) -> None:
+        its = getattr(world, device)
+        setattr(its, name, value)
+        world.later(times * fault.lasts_s, lambda: setattr(its, name, after))
+
+    return strike
+
+
 # -- arms -------------------------------------------------------------------------------------------------------------
 
 
@@ -125,7 +139,7 @@ def _slider(world: World, fault: Fault) -> None:
     world.later(10.0 * fault.lasts_s, lambda: setattr(world.arms[fault.arm], "slider", 1.0))
 
 
-# -- tracker and air --------------------------------------------------------------------------------------------------
+# -- tracker ---------------------------------------------------------------------------------------------------------
 
 
 def _beam_broken(world: World, fault: Fault) -> None:
@@ -141,11 +155,6 @@ def _smr_lost(world: World, fault: Fault) -> None:
 def _not_ready(world: World, fault: Fault) -> None:
     world.tracker.obstacles.append("it warms up")
     world.later(5.0 * fault.lasts_s, lambda: world.tracker.obstacles.remove("it warms up"))
-
-
-def _shaking(world: World, fault: Fault) -> None:
-    world.tracker.shaking = True
-    world.later(fault.lasts_s, lambda: setattr(world.tracker, "shaking", False))
 
 
 def _wrong_smr(world: World, fault: Fault) -> None:
@@ -165,40 +174,11 @@ def _tracker_mute(world: World, fault: Fault) -> None:
 
 
 def _tracker_reboot(world: World, fault: Fault) -> None:
-    world.tracker.reboot(fault.lasts_s)
+    world.tracker.reboot(0.0 if fault.kind == "tracker restarts at once" else fault.lasts_s)
     world.tracker_dies()
-
-
-def _tracker_restart(world: World, fault: Fault) -> None:
-    world.tracker.reboot(0.0)
-    world.tracker_dies()
-
-
-def _tracker_halted(world: World, fault: Fault) -> None:
-    world.tracker.halted_by_other()
-
-
-def _air_silent(world: World, fault: Fault) -> None:
-    world.air.silent = True
-    world.later(fault.lasts_s, lambda: setattr(world.air, "silent", False))
-
-
-def _air_out_of_limits(world: World, fault: Fault) -> None:
-    world.air.warmer_k = 20.0
-    world.later(20.0 * fault.lasts_s, lambda: setattr(world.air, "warmer_k", 0.0))
 
 
 # -- disk and program -------------------------------------------------------------------------------------------------
-
-
-def _disk_full(world: World, fault: Fault) -> None:
-    world.disk.state = "full"
-    world.later(fault.lasts_s, lambda: setattr(world.disk, "state", "healthy"))
-
-
-def _disk_read_only(world: World, fault: Fault) -> None:
-    world.disk.state = "read-only"
-    world.later(fault.lasts_s, lambda: setattr(world.disk, "state", "healthy"))
 
 
 def _disk_slow(world: World, fault: Fault) -> None:
@@ -206,23 +186,11 @@ def _disk_slow(world: World, fault: Fault) -> None:
     world.later(fault.lasts_s, lambda: setattr(world.disk, "state", "healthy"))
 
 
-def _killed(world: World, fault: Fault) -> None:
-    world.kill()
-
-
 def _killed_while_storing(world: World, fault: Fault) -> None:
     world.disk.dies = ("before the transaction", "before its commit", "after its commit")[int(2.999 * fault.size)]
 
 
 # -- person -----------------------------------------------------------------------------------------------------------
-
-
-def _pause(world: World, fault: Fault) -> None:
-    world.person.pause(fault.lasts_s)
-
-
-def _stop(world: World, fault: Fault) -> None:
-    world.person.stop()
 
 
 def _hasty_resume(world: World, fault: Fault) -> None:
@@ -245,15 +213,7 @@ def _stop_as_it_begins(world: World, fault: Fault) -> None:
     world.arms[fault.arm].as_it_begins = world.person.stop
 
 
-def _stop_from_outside(world: World, fault: Fault) -> None:
-    world.person.ask_from_outside("stop")
-
-
-def _abort(world: World, fault: Fault) -> None:
-    world.person.abort()
-
-
-KINDS: Mapping[str, Callable[[World, Fault], None]] = {
+KINDS: Mapping[str, Strike] = {
     "protective stop": _protective_stop,
     "emergency stop": _emergency_stop,
     "arm's link cut": _arm_link_cut,
@@ -268,27 +228,27 @@ KINDS: Mapping[str, Callable[[World, Fault], None]] = {
     "beam broken": _beam_broken,
     "SMR not found": _smr_lost,
     "tracker not ready": _not_ready,
-    "SMR shakes": _shaking,
+    "SMR shakes": _passing("tracker", "shaking", True, False),
     "wrong SMR": _wrong_smr,
     "tracker's link cut": _tracker_link_cut,
     "tracker silent": _tracker_mute,
     "tracker restarts": _tracker_reboot,
-    "measurement halted": _tracker_halted,
-    "tracker restarts at once": _tracker_restart,
-    "air sensor silent": _air_silent,
-    "air out of limits": _air_out_of_limits,
-    "disk full": _disk_full,
-    "disk read-only": _disk_read_only,
+    "measurement halted": lambda world, fault: world.tracker.halt(),
+    "tracker restarts at once": _tracker_reboot,
+    "air sensor silent": _passing("air", "silent", True, False),
+    "air out of limits": _passing("air", "warmer_k", 20.0, 0.0, times=20.0),
+    "disk full": _passing("disk", "state", "full", "healthy"),
+    "disk read-only": _passing("disk", "state", "read-only", "healthy"),
     "disk slow": _disk_slow,
-    "program killed": _killed,
+    "program killed": lambda world, fault: world.kill(),
     "killed while storing": _killed_while_storing,
-    "person pauses": _pause,
-    "person stops": _stop,
+    "person pauses": lambda world, fault: world.person.pause(fault.lasts_s),
+    "person stops": lambda world, fault: world.person.stop(),
     "person stops and resumes at once": _hasty_resume,
     "person stops just after resuming": _stop_after_resume,
     "person stops while arms are connected": _stop_while_connecting,
     "person stops as a motion begins": _stop_as_it_begins,
-    "stop from another process": _stop_from_outside,
-    "person aborts": _abort,
+    "stop from another process": lambda world, fault: world.person.ask_from_outside("stop"),
+    "person aborts": lambda world, fault: world.person.abort(),
 }
 """Fault -> what it does to the world."""

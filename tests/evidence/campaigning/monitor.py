@@ -51,15 +51,12 @@ class Monitor:
         Bytes of each point that the tracker returned -> how often.
     stored : dict
         (stop, arm) -> bytes of the point whose reading was reported as stored.
-    counts : Counter
-        Word -> how often it happened.
     """
 
     plant: Plant
     violations: list[Failure] = field(default_factory=list)
     delivered: Counter[bytes] = field(default_factory=Counter)
     stored: dict[tuple[int, str], bytes] = field(default_factory=dict)
-    counts: Counter[str] = field(default_factory=Counter)
     _latched: str = ""
     _releases: int = 0
     _reached_s: float = 0.0
@@ -152,7 +149,6 @@ class Monitor:
 
     def started(self, name: str, q: Vector) -> None:
         """A motion of an arm began."""
-        self.counts["motions"] += 1
         self.note(f"move {name} {q.tobytes().hex()}")
         if self._latched:
             self.violation("motion after a stop", f"motion of arm {name} after {self._latched}")

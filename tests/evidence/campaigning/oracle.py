@@ -42,7 +42,6 @@ class Judgement:
     failures: tuple[Failure, ...]
     readings: int
     missing: int
-    clearance_m: float
     estimates: dict[str, ArmEstimate]
 
 
@@ -61,8 +60,7 @@ def judge(
         failures += _false(world, name, arm, plan[name])
     missing, unlisted = _missing(run, readings, run.profile.plan.stops)
     failures += unlisted
-    clearance = sure(world.plant.clearance)
-    failures += _collisions(clearance)
+    failures += _collisions(sure(world.plant.clearance))
     moving = [name for name in world.plant.names if world.plant.moving(name)]
     failures += [Failure("motion after a stop", f"arm {name} moves at the end") for name in moving]
     failures += _unrecorded(world, run)
@@ -70,7 +68,7 @@ def judge(
     if not failures:
         estimates = {name: _identified(run, name, arm, undisturbed) for name, arm in readings.items()}
         failures += _other_calibration(estimates, undisturbed)
-    return Judgement(tuple(failures), sum(map(len, readings.values())), missing, clearance.arms_m, estimates)
+    return Judgement(tuple(failures), sum(map(len, readings.values())), missing, estimates)
 
 
 def _lost_or_doubled(world: World, readings: Mapping[str, Readings]) -> list[Failure]:

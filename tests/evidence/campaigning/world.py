@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -21,13 +21,20 @@ from cellapp.ground.errors import HardwareError
 from cellapp.ground.job_client import Verb
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Progress, StateChange
-from drivers.arms.protocol import ArmError
+from drivers.arms.protocol import Arm, ArmError
 from drivers.clock import SimulatedClock, Sleep
 from drivers.plant import Plant
 from drivers.sensors.protocol import SensorError
 from drivers.trackers.protocol import Tracker
 from tests.evidence.campaigning.disk import CampaignRun, Disk, copy_run
-from tests.evidence.campaigning.doubles import CampaignAir, CampaignArm, CampaignTracker, Process, ProgramKilled
+from tests.evidence.campaigning.doubles import (
+    CampaignAir,
+    CampaignArm,
+    CampaignTracker,
+    Guarded,
+    Process,
+    ProgramKilled,
+)
 from tests.evidence.campaigning.faults import KINDS, Fault
 from tests.evidence.campaigning.monitor import Monitor
 
@@ -45,9 +52,9 @@ class World:
         self.plant = build_plant(profile, watch_clearance=True)
         self.monitor = Monitor(self.plant)
         self.process = Process()
-        self.arms = {name: CampaignArm(self.plant, name, self.process, self.monitor) for name in profile.arms}
-        self.tracker = CampaignTracker(self.plant, self.process, self.monitor)
-        self.air = CampaignAir(self.plant, self.process)
+        self.arms = {name: CampaignArm(self.plant, name, self.monitor) for name in profile.arms}
+        self.tracker = CampaignTracker(self.plant, self.monitor)
+        self.air = CampaignAir(self.plant)
         self.disk = Disk(self.plant, self.process, self.monitor, self.kill)
         self.person = Person(self, np.random.default_rng([seed, 1]))
         self.stall_allowed = profile.collection.suspend.host_stall.times > 0
@@ -128,24 +135,26 @@ class World:
     @contextmanager
     def opened(self, profile: Profile, **_: Any) -> Iterator[Cell]:
         """Connect to all devices, as ``open_cell`` does."""
+        arms: dict[str, Any] = {name: Guarded(arm, self.process) for name, arm in self.arms.items()}
+        tracker, air = (cast(Any, Guarded(device, self.process)) for device in (self.tracker, self.air))
         with ExitStack() as stack:
             try:
-                for arm in self.arms.values():
+                for arm in arms.values():
                     stack.callback(_disconnect, arm)
                     arm.connect()
-                stack.callback(self.tracker.disconnect)
-                unmet = start_tracker(self.tracker, profile.tracker.driver)
-                stack.callback(self.air.disconnect)
-                self.air.connect()
+                stack.callback(lambda: tracker.disconnect())
+                unmet = start_tracker(tracker, profile.tracker.driver)
+                stack.callback(lambda: air.disconnect())
+                air.connect()
             except (ArmError, SensorError) as error:
                 raise HardwareError(str(error)) from error
             self.is_open = True
             stack.callback(setattr, self, "is_open", False)
             yield Cell(
-                self.arms,
-                self.tracker,
+                arms,
+                tracker,
                 HoldingClock(self.plant, self.person),
-                self.air,
+                air,
                 together=one_by_one,
                 watch_tracker=self._watched,
                 tracker_unmet=unmet,
@@ -207,7 +216,7 @@ class SimulatedControl(JobControl):
         return self.request
 
 
-def _disconnect(arm: CampaignArm) -> None:
+def _disconnect(arm: Arm) -> None:
     with suppress(ArmError):
         arm.disconnect()
 
@@ -230,7 +239,6 @@ class Person:
         """Come when the job says that it is stopped."""
         if not isinstance(event.detail, StateChange):
             return
-        self._world.monitor.counts[event.detail.state] += 1
         if event.detail.state == "stopped" and not self._coming:
             self._coming = True
             self._world.later(self.delay_s(), self._arrive)

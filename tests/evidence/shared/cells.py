@@ -21,6 +21,7 @@ from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.transforms import Array, quaternions_of
 from drivers.plant import Plant
 from tests.evidence.skeleton import ROOT
+from tests.series import readings_at
 from tests.sure import sure
 from tests.twin import altered
 
@@ -83,15 +84,8 @@ def measured_by(
             off = noise * sigma_rad[:, None] * np.random.default_rng([seed, place, 6]).standard_normal((len(q), 3))
             R_M_S = Rotation.from_rotvec(off).as_matrix() @ R_M_S
             rotations = {"quaternion_M": quaternions_of(R_M_S), "sigma_rad": sigma_rad}
-        readings[name] = Readings(
-            configuration=np.arange(len(q)),
-            time_s=np.full(len(q), np.nan),
-            q=q,
-            approach=approach,
-            p_M=points if noise else exact,
-            covariance_M=covariance,
-            **rotations,
-        )
+        p_M = points if noise else exact
+        readings[name] = readings_at(q, p_M, approach=approach, covariance_M=covariance, **rotations)
     return readings
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -55,12 +55,14 @@ def sample_targets(profile: Profile, model: CellModel, count: int, seed: int) ->
     for place, name in enumerate(profile.arms):
         others = {other: home for other, home in homes.items() if other != name}
         drawn = _drawn(cell, profile, name, [seed, _TARGET_SEED, place])
-        found = (q for q in drawn if not refuse_stop(cell, {**others, name: q}) and _seen(cell, name, q, others))
+        at_home = {other: home[None] for other, home in others.items()}
+        allowed = (q for q in drawn if not refuse_stop(cell, {**others, name: q}))
+        found = (q for q in allowed if visible(cell, name, q[None], at_home)[0])
         sides = np.random.default_rng([seed, _TARGET_SEED, place, 1])
         for number, q in zip(range(count), found, strict=False):
-            position, rpy = _smr(model.arms[name].nominal, q)
-            target = _target(f"{name} {number + 1}", name, position, rpy)
-            targets.append(target.model_copy(update={"approach": tuple(sides.choice([-1, 1], len(q)).tolist())}))
+            approach = tuple(sides.choice([-1, 1], len(q)).tolist())
+            there = _pose(model.arms[name].nominal, q)
+            targets.append(_target(f"{name} {number + 1}", name, there, approach=approach))
     return targets
 
 
@@ -73,14 +75,14 @@ def sample_pairs(profile: Profile, model: CellModel, count: int, seed: int) -> l
         _drawn(cell, profile, second, [seed, _TARGET_SEED, 3]),
         strict=False,
     )
-    found = (both for both in drawn if _both_allowed(cell, {first: both[0], second: both[1]}))
+    allowed = (both for both in drawn if not refuse_stop(cell, dict(zip((first, second), both, strict=True))))
+    found = (both for both in allowed if visible_stops(cell, {first: both[0][None], second: both[1][None]})[0])
     targets = []
     for number, both in zip(range(count), found, strict=False):
         T_M_S = [_pose(model.arms[name].nominal, q) for name, q in zip((first, second), both, strict=True)]
         between = np.asarray(invert(T_M_S[0]) @ T_M_S[1])
-        position, rpy = _smr(model.arms[first].nominal, both[0])
-        partner = Partner(arm=second, position=xyz_of(between[:3, 3]), rpy=_rpy(between[:3, :3]))
-        targets.append(_target(f"pair {number + 1}", first, position, rpy, partner))
+        partner = Partner(arm=second, position=xyz_of(between[:3, 3]), rpy=rpy_of(between[:3, :3]))
+        targets.append(_target(f"pair {number + 1}", first, T_M_S[0], partner=partner))
     return targets
 
 
@@ -91,34 +93,11 @@ def _drawn(cell: CellBodies, profile: Profile, name: str, seed: list[int]) -> It
     return random_configurations(cell, profile, name, np.random.default_rng(seed))
 
 
-def _seen(cell: CellBodies, name: str, q: Array, others: Mapping[str, Array]) -> bool:
-    return bool(visible(cell, name, q[None], {other: one[None] for other, one in others.items()})[0])
-
-
-def _both_allowed(cell: CellBodies, q: Mapping[str, Array]) -> bool:
-    return not refuse_stop(cell, q) and bool(visible_stops(cell, {name: one[None] for name, one in q.items()})[0])
-
-
 def _pose(nominal: Geometry, q: Array) -> Array:
     """Compute the SMR pose (4, 4) in the tracker frame, with the axes of the flange."""
     rotations, origins = flange_poses(nominal, q[None])
     return transform(rotations[0], origins[0] + rotations[0] @ nominal.tool)
 
 
-def _smr(nominal: Geometry, q: Array) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    T_M_S = _pose(nominal, q)
-    return xyz_of(T_M_S[:3, 3]), _rpy(T_M_S[:3, :3])
-
-
-def _target(
-    name: str,
-    arm: str,
-    position: tuple[float, float, float],
-    rpy: tuple[float, float, float],
-    partner: Partner | None = None,
-) -> Target:
-    return Target(name=name, arm=arm, frame="tracker", position=position, rpy=rpy, partner=partner)
-
-
-def _rpy(rotation: Array) -> tuple[float, float, float]:
-    return rpy_of(rotation)
+def _target(name: str, arm: str, T_M_S: Array, **more: Any) -> Target:
+    return Target(name=name, arm=arm, frame="tracker", position=xyz_of(T_M_S[:3, 3]), rpy=rpy_of(T_M_S[:3, :3]), **more)

@@ -11,7 +11,6 @@ import os
 import re
 import signal
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -33,8 +32,9 @@ from drivers.priority import in_real_time
 from tests.evidence.skeleton import ROOT, Evidence, Limit, Table
 from tests.evidence.wire.polling import comes_about
 from tests.evidence.wire.storm import SAME_RAD, deviation, undisturbed
-from tests.evidence.wire.storm_cell import StormCell, emulated_cell, wire_profile
-from tests.evidence.wire.storm_operator import Stored, stored
+from tests.evidence.wire.storm_cell import StormCell, cellapp_process, emulated_cell, wire_profile
+from tests.evidence.wire.storm_faults import Scene, Strike, command, hang, kill_worker, signals
+from tests.evidence.wire.storm_operator import Stored, lost_and_doubled, stored
 from tests.twin import altered, with_arm
 
 TITLE = "Attacks on the wire"
@@ -46,7 +46,9 @@ _BY_WATCHDOG_MS = 350.0
 """Limit of a stop that only the watchdog gives: its period, some control cycles, and what waits for a processor."""
 _SUSPENDED_MS = 700.0
 """Limit of a stop of a program that is silent for 0.5 s."""
-_PATIENT_S, _ENDS_WITHIN_S, _STOPS_WITHIN_S, _WATCHED_S = 120.0, 40.0, 6.0, 0.5
+_PATIENT_S, _ENDS_WITHIN_S, _RESTS_WITHIN_S, _WATCHED_S = 120.0, 40.0, 6.0, 0.5
+_OTHER_RUN = "night"
+"""Folder of a second run, beside that of the first."""
 _ON_THE_WAY_S = 0.5
 _UNDER_WAY_S = 0.02
 """A motion that was commanded before a stop may begin this much later."""
@@ -61,26 +63,6 @@ _SHOWN = 110
 """Characters of a message that the table shows."""
 
 
-@dataclass
-class Scene:
-    """A session under attack: the cell, the collecting program, its run, a second run, and what others said."""
-
-    cell: StormCell
-    program: subprocess.Popen[str]
-    run: Path
-    other_run: Path
-    words: str = ""
-
-    @property
-    def children(self) -> list[int]:
-        """The processes that hold the arms' clients."""
-        found = Path(f"/proc/{self.program.pid}/task/{self.program.pid}/children").read_text("ascii")
-        return [int(pid) for pid in found.split()]
-
-
-Strike = Callable[[Scene], None]
-
-
 @dataclass(frozen=True)
 class Attack:
     """What happens, and the longest time until both controllers have a stop [ms]; nan if none is to come.
@@ -93,21 +75,9 @@ class Attack:
     when: Literal["moving", "connecting", "measuring"] = "moving"
 
 
-def _signal(number: signal.Signals) -> Strike:
-    return lambda scene: scene.program.send_signal(number)
-
-
-def _command(*command: object) -> Strike:
-    """A command to the emulated controller of the first arm."""
-    return lambda scene: scene.cell.control(scene.cell.arms[0], *map(str, command))
-
-
-def _cellapp(folder: Path, *words: str, program: Sequence[str] = ("-m", "cellapp")) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        [sys.executable, *program, *words],
-        cwd=folder, env={**os.environ, "PYTHONPATH": str(ROOT)}, text=True, start_new_session=True,
-        stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
-    )  # fmt: skip
+def _asked(run: Path, verb: str, *words: str, **how: Any) -> subprocess.Popen[str]:
+    """Start a command on a run that tells why it ends."""
+    return cellapp_process(run.parent, verb, str(run), *words, stderr=subprocess.PIPE, text=True, **how)
 
 
 def _last_line(program: subprocess.Popen[str]) -> str:
@@ -116,19 +86,19 @@ def _last_line(program: subprocess.Popen[str]) -> str:
     return " ".join(_NOISE.sub(" ", told[-1] if told else "").split())
 
 
-def _stop_command(scene: Scene) -> None:
-    _cellapp(scene.run.parent, "stop", str(scene.run))
+def _stop_run(scene: Scene) -> None:
+    cellapp_process(scene.folder.parent, "stop", str(scene.folder))
 
 
 def _stop_of_another(scene: Scene) -> None:
     """Another account asks the job to stop, which it cannot; then the person at the terminal does."""
-    scene.words = _last_line(_cellapp(scene.run.parent, "stop", str(scene.run), program=_AS_NOBODY))
+    scene.words = _last_line(_asked(scene.folder, "stop", program=_AS_NOBODY))
     _still_moves(scene)
 
 
 def _second_program(scene: Scene) -> None:
     """A second program wants the same arms for another run, and is refused; then the first one is stopped."""
-    scene.words = _last_line(_cellapp(scene.other_run.parent, "collect", str(scene.other_run)))
+    scene.words = _last_line(_asked(scene.folder.with_name(_OTHER_RUN), "collect"))
     _still_moves(scene)
 
 
@@ -143,59 +113,47 @@ def _kill_all(scene: Scene) -> None:
         os.kill(pid, signal.SIGKILL)
 
 
-def _kill_worker(scene: Scene) -> None:
-    os.kill(scene.children[0], signal.SIGKILL)
-
-
-def _hang(for_s: float) -> Strike:
-    def strike(scene: Scene) -> None:
-        scene.program.send_signal(signal.SIGSTOP)
-        time.sleep(for_s)
-        scene.program.send_signal(signal.SIGCONT)
-
-    return strike
-
-
 def _push_and_back(scene: Scene) -> None:
-    _command("push", 1e-2, 0.3)(scene)
+    command("push", 1e-2, 0.3)(scene)
     time.sleep(0.1)
-    _command("push", -1e-2, 0.3)(scene)
+    command("push", -1e-2, 0.3)(scene)
 
 
 ATTACKS: dict[str, Attack] = {
-    "Ctrl-C": Attack(_signal(signal.SIGINT), KEY_MS),
-    "SIGTERM": Attack(_signal(signal.SIGTERM), KEY_MS),
-    "cellapp stop": Attack(_stop_command, COMMAND_MS),
+    "Ctrl-C": Attack(signals(signal.SIGINT), KEY_MS),
+    "SIGTERM": Attack(signals(signal.SIGTERM), KEY_MS),
+    "cellapp stop": Attack(_stop_run, COMMAND_MS),
     "stop of another account, then Ctrl-C": Attack(_stop_of_another),
     "second cellapp, then Ctrl-C": Attack(_second_program),
-    "Ctrl-C while connecting, program starts 0.6 s late": Attack(_signal(signal.SIGINT), when="connecting"),
-    "RTDE closed": Attack(_command("drop", "rtde", "fin"), LOST_MS),
-    "RTDE reset": Attack(_command("drop", "rtde", "rst"), LOST_MS),
-    "RTDE silent": Attack(_command("fault", "rtde", "silent"), SILENT_MS),
-    "cable of one arm cut": Attack(_command("fault", "*", "silent"), SILENT_MS),
-    "malformed packet, size 0": Attack(_command("send", "rtde", "000055"), LOST_MS),
-    "network 0.1 s late": Attack(_command("network", 0.1)),
-    "network loses 5 %": Attack(_command("network", 0.005, 0.05)),
+    "Ctrl-C while connecting, program starts 0.6 s late": Attack(signals(signal.SIGINT), when="connecting"),
+    "RTDE closed": Attack(command("drop", "rtde", "fin"), LOST_MS),
+    "RTDE reset": Attack(command("drop", "rtde", "rst"), LOST_MS),
+    "RTDE silent": Attack(command("fault", "rtde", "silent"), SILENT_MS),
+    "cable of one arm cut": Attack(command("fault", "*", "silent"), SILENT_MS),
+    "malformed packet, size 0": Attack(command("send", "rtde", "000055"), LOST_MS),
+    "network 0.1 s late": Attack(command("network", 0.1)),
+    "network loses 5 %": Attack(command("network", 0.005, 0.05)),
     "stopped on the pendant": Attack(lambda scene: stop_program(HOSTS[0], 1.0)),
-    "protective stop": Attack(_command("protective", "now"), LOST_MS),
-    "driver process killed": Attack(_kill_worker, _BY_WATCHDOG_MS),
-    "program killed": Attack(_signal(signal.SIGKILL), LOST_MS),
+    "protective stop": Attack(command("protective", "now"), LOST_MS),
+    "driver process killed": Attack(kill_worker, _BY_WATCHDOG_MS),
+    "program killed": Attack(signals(signal.SIGKILL), LOST_MS),
     "all processes killed": Attack(_kill_all, _BY_WATCHDOG_MS),
-    "program suspended for 2 s": Attack(_hang(2.0)),
-    "program suspended for 5 s while measuring": Attack(_hang(5.0), _SUSPENDED_MS, "measuring"),
-    "arm pushed by 10 mrad while measured": Attack(_command("push", 1e-2, 0.3), SILENT_MS, "measuring"),
+    "program suspended for 2 s": Attack(hang(2.0)),
+    "program suspended for 5 s while measuring": Attack(hang(5.0), _SUSPENDED_MS, "measuring"),
+    "arm pushed by 10 mrad while measured": Attack(command("push", 1e-2, 0.3), SILENT_MS, "measuring"),
     "arm pushed by 10 mrad and back while measured": Attack(_push_and_back, SILENT_MS, "measuring"),
-    "arm moved by a step of 1 mrad while measured": Attack(_command("push", 1e-3, 1e3), SILENT_MS, "measuring"),
-    "arm creeps by 4 mrad/s while measured": Attack(_command("push", 1e-2, 4e-3), SILENT_MS, "measuring"),
+    "arm moved by a step of 1 mrad while measured": Attack(command("push", 1e-3, 1e3), SILENT_MS, "measuring"),
+    "arm creeps by 4 mrad/s while measured": Attack(command("push", 1e-2, 4e-3), SILENT_MS, "measuring"),
 }
 
 
 @dataclass
 class Struck:
-    """What one attack led to; ``programs``: controllers on which a program runs at the end."""
+    """What one attack led to; ``stop_ms``: nan where no stop was to come; ``programs``: controllers with one at
+    the end."""
 
     attack: str
-    stop_ms: list[float]
+    stop_ms: float
     motions: int
     programs: int
     lost: int
@@ -210,7 +168,6 @@ class Bench:
 
     cell: StormCell
     run: Path
-    other_run: Path
     random: np.random.Generator
     sessions: int = 0
     seen: Stored = field(default_factory=dict)
@@ -220,7 +177,7 @@ class Bench:
         attack, cell = ATTACKS[name], self.cell
         for arm in cell.arms if attack.when == "connecting" else ():
             cell.control(arm, "start-delay", 0.6)
-        scene = Scene(cell, self._collect(), self.run, self.other_run)
+        scene = Scene(cell, cell.arms[0], self._collect(), self.run)
         before = sum(one["moves"] for one in cell.status().values())
         moves = partial(self._moves, before + int(self.random.integers(4, 14)))  # so that there are readings to lose
         ready: Mapping[str, Callable[[], bool]]
@@ -229,7 +186,7 @@ class Bench:
         time.sleep(self.random.uniform(0.0, 1.0 if attack.when == "measuring" else 0.2))
         struck_s = time.monotonic()
         attack.strike(scene)
-        stop_ms = [] if math.isnan(attack.most_ms) else [self._stop_ms(arm, struck_s) for arm in cell.arms]
+        stop_ms = math.nan if math.isnan(attack.most_ms) else cell.stop_ms(struck_s)
         for _ in range(2):  # a program that goes on beside the attack is ended by a person
             with suppress(subprocess.TimeoutExpired):
                 scene.program.wait(_ENDS_WITHIN_S)
@@ -238,11 +195,11 @@ class Bench:
         code = scene.program.poll()
         scene.program.kill()
         said = "; ".join(filter(None, (scene.words, _last_line(scene.program)))).replace(f"{self.run.parent}/", "")
-        cell.wait_at_rest(_STOPS_WITHIN_S)
+        cell.wait_at_rest(_RESTS_WITHIN_S)
         rested_s = time.monotonic()
         time.sleep(_WATCHED_S if attack.when != "connecting" else 1.0)
-        since_s = struck_s + max(stop_ms) / 1e3 + _UNDER_WAY_S if stop_ms else rested_s
-        motions = 0 if math.isinf(since_s) else sum(len(cell.control(arm, "starts", since_s)) for arm in cell.arms)
+        since_s = rested_s if math.isnan(stop_ms) else struck_s + stop_ms / 1e3 + _UNDER_WAY_S
+        motions = 0 if math.isinf(since_s) else cell.began(since_s)
         programs = sum(one["runtime_state"] != "STOPPED" for one in cell.status().values())
         for arm in cell.arms:
             cell.control(arm, "network", 0)
@@ -256,7 +213,7 @@ class Bench:
 
     def _collect(self) -> subprocess.Popen[str]:
         self.sessions += 1
-        return _cellapp(self.run.parent, "collect", str(self.run), *(["--resume"] if self.sessions > 1 else []))
+        return _asked(self.run, "collect", *(["--resume"] if self.sessions > 1 else []))
 
     def _moves(self, moves: int) -> bool:
         """Return whether both arms move, after so many motions of both."""
@@ -276,28 +233,18 @@ class Bench:
     def _connects(self) -> bool:
         return any(one["connections"]["rtde"] for one in self.cell.status().values())
 
-    def _stop_ms(self, arm: str, struck_s: float) -> float:
-        """Time to the stop at a controller [ms]; infinite if none comes."""
-        deadline_s = struck_s + _STOPS_WITHIN_S
-        if not comes_about(lambda: bool(self.cell.control(arm, "stops", struck_s)), deadline_s):
-            return math.inf
-        return 1e3 * float(self.cell.control(arm, "stops", struck_s)[0]["received_s"] - struck_s)
-
     def _look(self) -> tuple[int, int]:
         """Return how many readings are gone or have changed since the last look, and how many are there twice."""
-        found = stored(self.run)
-        lost = sum(found.get(key) != values for key, values in self.seen.items())
-        self.seen = found
-        return lost, len(found) - len({(name, values[-4:]) for (_, name), values in found.items()})
+        seen, self.seen = self.seen, stored(self.run)
+        return lost_and_doubled(seen, self.seen)
 
 
-def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--repeats", type=int, default=5, help="of each attack")
-    parser.add_argument("--only", help="attacks whose name contains this")
+OPTIONS = {"repeats": 5, "only": ""}
+"""``repeats``: of each attack; ``only``: attacks whose name contains this."""
 
 
 def cases(asked: argparse.Namespace) -> dict[str, dict[str, Any]]:
-    names = [name for name in ATTACKS if (asked.only or "") in name]
+    names = [name for name in ATTACKS if asked.only in name]
     return {"attacks": {"names": names, "repeats": asked.repeats}}
 
 
@@ -316,9 +263,9 @@ def attacks(profile: Profile, names: Sequence[str], repeats: int) -> dict[str, A
         parent.chmod(0o755)  # another account looks
         with new_planned_run(profile, parent / "run") as run:
             quiet = undisturbed(profile, read_planned_stops(run), parent / "undisturbed")
-        new_planned_run(profile, parent / "night").close()
+        new_planned_run(profile, parent / _OTHER_RUN).close()
         with emulated_cell(profile, 1.0, watch_clearance=False) as cell:
-            bench = Bench(cell, parent / "run", parent / "night", np.random.default_rng(1))
+            bench = Bench(cell, parent / "run", np.random.default_rng(1))
             struck = [bench.attack(name) for _ in range(repeats) for name in names]
             code = bench.complete()
         with RunFile.open(bench.run) as run, RunFile.open(quiet) as reference:
@@ -334,7 +281,7 @@ def summary(results: list[dict[str, Any]], asked: argparse.Namespace) -> Evidenc
     rows, limits = [], []
     for name in dict.fromkeys(one.attack for one in struck):
         its = [one for one in struck if one.attack == name]
-        worst = [max(one.stop_ms) for one in its if one.stop_ms]
+        worst = [one.stop_ms for one in its if not math.isnan(one.stop_ms)]
         most = ATTACKS[name].most_ms
         codes = sorted({"never ended" if one.code is None else str(one.code) for one in its})
         rows.append(
@@ -354,7 +301,7 @@ def summary(results: list[dict[str, Any]], asked: argparse.Namespace) -> Evidenc
     ]
     columns = ["attack", "n", "stop at both arms [ms]: median; worst", "motions after", "programs left"]
     columns += ["readings lost", "doubled", "exit code", "what the screen said"]
-    stops = [max(one.stop_ms) for one in struck if one.stop_ms]
+    stops = [one.stop_ms for one in struck if not math.isnan(one.stop_ms)]
     figures = {"attacks": str(len(struck)), "stop": f"{max(stops, default=0.0):.0f} ms", "wrong": str(wrong)}
     said = [f"{result['readings']} readings, compared with an undisturbed run's: false at {result['false']} arms."]
     return Evidence(figures, [Table("", columns, rows)], limits, said)

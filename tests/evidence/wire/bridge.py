@@ -31,16 +31,11 @@ _SILENCE_S = 0.3
 _AVERAGING_S = 1.0
 _NEAR_M = 1e-3
 """A point within this distance belongs to the nest: nests are decimetres apart, noise is below 0.1 mm."""
-
-
-def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--measurements", type=int, default=1000)
-    parser.add_argument("--every", type=int, default=20)
-    parser.add_argument("--seed", type=int, default=0)
+OPTIONS = {"measurements": 1000, "every": 20, "seed": 0}
 
 
 def cases(asked: argparse.Namespace) -> dict[str, dict[str, Any]]:
-    return {"bridge": {key: getattr(asked, key) for key in ("measurements", "every", "seed")}}
+    return {"bridge": {key: getattr(asked, key) for key in OPTIONS}}
 
 
 def one(case: dict[str, Any]) -> dict[str, Any]:

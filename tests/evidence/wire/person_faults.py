@@ -21,7 +21,7 @@ import numpy as np
 from cellapp.cell.run import RunFile
 from tests.evidence.wire.polling import comes_about
 from tests.evidence.wire.pseudo_terminal import PseudoTerminal
-from tests.evidence.wire.storm_cell import StormCell
+from tests.evidence.wire.storm_cell import StormCell, cellapp_process
 from tests.evidence.wire.tcp_relay import Way
 from tests.evidence.wire.terminal_presses import COLUMNS, PLACES, ROWS, RUN, PressBench
 
@@ -39,33 +39,28 @@ def dead_tracker(bench: PressBench, way: Way) -> float:
     bench.go_while_moving(_CALM, f"tracker {way}")
     struck_s = time.monotonic()
     bench.tracker.set(way)
-    stopped_ms = max(bench.stop_ms(name, struck_s) for name in bench.cell.arms)
+    stopped_ms = bench.cell.stop_ms(struck_s)
     bench.tracker.set("open")
     bench.cell.wait_at_rest(_STOPS_WITHIN_S)
     bench.resume(_CALM, f"tracker {way}")
     return stopped_ms
 
 
-@dataclass(frozen=True)
-class LostDashboard:
-    """Time to the stop at the other arms [ms], and motions of any arm that began beside the doubt."""
+def lost_dashboard(bench: PressBench, how: Literal["refuse", "silent"], name: str) -> tuple[float, float]:
+    """Let the dashboard of an arm refuse all connections, or answer nothing, while all arms move.
 
-    stopped_ms: float
-    began: float
-
-
-def lost_dashboard(bench: PressBench, how: Literal["refuse", "silent"], name: str) -> LostDashboard:
-    """Let the dashboard of an arm refuse all connections, or answer nothing, while all arms move."""
+    Returns the time to the stop at the other arms [ms], and the number of motions that began beside the doubt.
+    """
     bench.go_while_moving(_CALM, f"dashboard {how}")
     struck_s = time.monotonic()
     bench.cell.control(name, "fault", "dashboard", how)
-    stopped_ms = max(bench.stop_ms(other, struck_s) for other in bench.cell.arms if other != name)
+    stopped_ms = bench.cell.stop_ms(struck_s, [other for other in bench.cell.arms if other != name])
     bench.cell.wait_at_rest(_STOPS_WITHIN_S)
     time.sleep(_WATCHED_S)
-    began = sum(len(bench.cell.control(one, "starts", struck_s + _UNDER_WAY_S)) for one in bench.cell.arms)
+    began = bench.cell.began(struck_s + _UNDER_WAY_S)
     bench.cell.repair()
     bench.resume(_CALM, f"dashboard {how}")
-    return LostDashboard(stopped_ms, float(began))
+    return stopped_ms, float(began)
 
 
 def dead_cell(bench: PressBench) -> float:
@@ -78,28 +73,20 @@ def dead_cell(bench: PressBench) -> float:
     return (said_s - struck_s) * 1e3
 
 
-@dataclass(frozen=True)
-class StopCommand:
-    """Wall time from the start of ``cellapp stop`` to the stop at all controllers, and its processor time [ms]."""
+def stop_command(bench: PressBench) -> tuple[float, float]:
+    """Stop with ``cellapp stop`` from another process while all arms move.
 
-    stopped_ms: float
-    processor_ms: float
-
-
-def stop_command(bench: PressBench) -> StopCommand:
-    """Stop with ``cellapp stop`` from another process while all arms move."""
+    Returns the time from its start to the stop at all controllers, and its processor time [ms].
+    """
     bench.go_while_moving(_CALM, "cellapp stop")
     began_s = time.monotonic()
-    process = subprocess.Popen(
-        [sys.executable, "-m", "cellapp", "stop", str(RUN)],
-        cwd=bench.folder, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
-    stopped_ms = max(bench.stop_ms(name, began_s) for name in bench.cell.arms)
+    process = cellapp_process(bench.folder, "stop", str(RUN))
+    stopped_ms = bench.cell.stop_ms(began_s)
     _, status, used = os.wait4(process.pid, 0)
     process.returncode = os.waitstatus_to_exitcode(status)
     bench.cell.wait_at_rest(_STOPS_WITHIN_S)
     bench.resume(_CALM, "cellapp stop")
-    return StopCommand(stopped_ms, (used.ru_utime + used.ru_stime) * 1e3)
+    return stopped_ms, (used.ru_utime + used.ru_stime) * 1e3
 
 
 def watched_escapes(bench: PressBench, n: int) -> list[float]:
@@ -115,7 +102,7 @@ def watched_escapes(bench: PressBench, n: int) -> list[float]:
         for _ in range(n):
             bench.go_while_moving(_CALM, "watched")
             sent_s = other.send(b"\x1b")
-            found.append(max(bench.stop_ms(name, sent_s) for name in bench.cell.arms))
+            found.append(bench.cell.stop_ms(sent_s))
             bench.cell.wait_at_rest(_STOPS_WITHIN_S)
             bench.resume(_CALM, "watched")
     finally:
@@ -148,59 +135,49 @@ LEAVES: Mapping[str, Leave] = {
 }
 
 
-@dataclass(frozen=True)
-class Left:
-    """Time to the stop at all controllers [ms]; 1 if the run says something else than what was done, otherwise 0."""
+def left(bench: PressBench, leave: Leave) -> tuple[float, float]:
+    """Leave while all arms move. Ends the application.
 
-    stopped_ms: float
-    wrongly_recorded: float
-
-
-def left(bench: PressBench, leave: Leave) -> Left:
-    """Leave while all arms move. Ends the application."""
+    Returns the time to the stop at all controllers [ms], and 1 if the run says something else than what was done,
+    otherwise 0.
+    """
     bench.go_while_moving(_CALM, leave.recorded)
-    remaining_s = leave.act(bench.terminal)
-    stopped_ms = max(bench.stop_ms(name, remaining_s) for name in bench.cell.arms)
+    left_s = leave.act(bench.terminal)
+    stopped_ms = bench.cell.stop_ms(left_s)
     bench.terminal.process.wait(_WITHIN_S)
     with RunFile.open(bench.folder / RUN) as run:
         requests = run.sessions()[-1].requests
     said = requests[-1].reason if requests else ""
-    return Left(stopped_ms, float(leave.recorded not in said))
+    return stopped_ms, float(leave.recorded not in said)
 
 
 # -- connecting --------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Interrupted:
-    """Time from Ctrl-C to the end of the process [ms]; programs that run and motions that began afterwards."""
+def interrupted_connecting(cell: StormCell, folder: Path, random: np.random.Generator) -> tuple[float, float]:
+    """Press Ctrl-C in the terminal of ``cellapp collect`` at a random moment while it connects the arms.
 
-    ended_ms: float
-    started: float
-
-
-def interrupted_connecting(cell: StormCell, folder: Path, random: np.random.Generator) -> Interrupted:
-    """Press Ctrl-C in the terminal of ``cellapp collect`` at a random moment while it connects the arms."""
+    Returns the time from there to the end of the process [ms], and the number of arms that started afterwards.
+    """
     moves = {name: one["moves"] for name, one in cell.status().items()}
     terminal = PseudoTerminal([sys.executable, "-m", "cellapp", "collect", str(RUN)], folder, COLUMNS, ROWS)
     try:
-        comes_about(lambda: _connects(cell), time.monotonic() + _WITHIN_S)
+        comes_about(
+            lambda: any(any(one["connections"].values()) for one in cell.status().values()),
+            time.monotonic() + _WITHIN_S,
+        )
         time.sleep(random.uniform(0.0, 0.4))
         pressed_s = time.monotonic()
         terminal.send(b"\x03")
         try:
             terminal.process.wait(_WITHIN_S)
         except subprocess.TimeoutExpired:
-            return Interrupted(float("inf"), 0.0)
+            return float("inf"), 0.0
         ended_ms = (time.monotonic() - pressed_s) * 1e3
         comes_about(lambda: _runs(cell, moves) > 0, time.monotonic() + _WATCHED_S)
-        return Interrupted(ended_ms, float(_runs(cell, moves)))
+        return ended_ms, float(_runs(cell, moves))
     finally:
         terminal.close()
-
-
-def _connects(cell: StormCell) -> bool:
-    return any(sum(one["connections"].values()) > 0 for one in cell.status().values())
 
 
 def _runs(cell: StormCell, moves: Mapping[str, int]) -> int:

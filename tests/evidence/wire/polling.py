@@ -15,7 +15,7 @@ def can_move(status: Mapping[str, Any]) -> bool:
     return bool(status["robot_mode"] == "RUNNING" and status["safety_mode"] == "NORMAL")
 
 
-def comes_about(condition: Callable[[], bool], deadline_s: float, poll_s: float = _POLL_S) -> bool:
+def comes_about(condition: Callable[[], object], deadline_s: float, poll_s: float = _POLL_S) -> bool:
     """Ask again and again until ``condition`` holds; False if it does not by ``deadline_s`` (``time.monotonic``)."""
     while not condition():
         if time.monotonic() > deadline_s:

@@ -25,7 +25,6 @@ from tests.evidence.skeleton import ROOT, Evidence, Limit, Table
 from tests.evidence.wire.person_faults import (
     LEAVES,
     Leave,
-    Left,
     dead_cell,
     dead_tracker,
     interrupted_connecting,
@@ -34,7 +33,7 @@ from tests.evidence.wire.person_faults import (
     stop_command,
     watched_escapes,
 )
-from tests.evidence.wire.terminal_presses import KEYS, PLACES, Press, PressBench, press_bench
+from tests.evidence.wire.terminal_presses import KEYS, PLACES, PressBench, press_bench
 
 TITLE = "From a key to the brakes"
 ALONE = True
@@ -50,16 +49,12 @@ COMMAND_MS, COMMAND_BUSY_MS, PROCESSOR_MS = 300.0, 1000.0, 100.0
 WATCHED_MS = 50.0
 """What Escape may take longer in an application that watches the job."""
 T = TypeVar("T")
-
-
-def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--presses", type=int, default=50, help="of each key")
-    parser.add_argument("--repeats", type=int, default=10, help="of everything else")
-    parser.add_argument("--busy", type=int, default=0, help="processes that compute beside it")
+OPTIONS = {"presses": 50, "repeats": 10, "busy": 0}
+"""``presses``: of each key; ``repeats``: of everything else; ``busy``: processes that compute beside it."""
 
 
 def cases(asked: argparse.Namespace) -> dict[str, dict[str, Any]]:
-    return {"person": {"presses": asked.presses, "repeats": asked.repeats, "busy": asked.busy}}
+    return {"person": {key: getattr(asked, key) for key in OPTIONS}}
 
 
 def one(case: dict[str, Any]) -> dict[str, Any]:
@@ -120,13 +115,16 @@ class _Trial:
     def pressed(self) -> list[dict[str, Any]]:
         """Each key at each place, and what begins before a resume."""
         places, keys = tuple(PLACES), tuple(KEYS)
-        found: list[Press] = []
+        stopped_ms: dict[str, list[float]] = {key: [] for key in keys}
+        began = []
         with _collecting() as bench:
             for number in range(self.presses):
                 for shift, key in enumerate(keys):
-                    found.append(bench.press(key, places[(number + shift) % len(places)]))
-        rows = [_row(key, [one.worst_ms for one in found if one.key == key], self._worst_ms, MEDIAN_MS) for key in keys]
-        return [*rows, _row("motions before resume", [float(one.began) for one in found], 0.0, unit="")]
+                    stop_ms, motions = bench.press(key, places[(number + shift) % len(places)])
+                    stopped_ms[key].append(stop_ms)
+                    began.append(float(motions))
+        rows = [_row(key, its, self._worst_ms, MEDIAN_MS) for key, its in stopped_ms.items()]
+        return [*rows, _row("motions before resume", began, 0.0, unit="")]
 
     def lost(self) -> list[dict[str, Any]]:
         """The tracker, a dashboard, and at last the whole cell."""
@@ -136,33 +134,32 @@ class _Trial:
             name = bench.cell.arms[-1]
             refused = self._each(lambda: lost_dashboard(bench, "refuse", name))
             mute = self._each(lambda: lost_dashboard(bench, "silent", name))
-        began = [one.began for one in (*refused, *mute)]
         return [
             _row("tracker closed", gone, CLOSED_MS),
             _row("tracker silent", silent, SILENT_MS),
-            _row("dashboard closed: other arm", [one.stopped_ms for one in refused], DASHBOARD_MS),
-            _row("dashboard silent: other arm", [one.stopped_ms for one in mute], DASHBOARD_MS),
-            _row("motions beside a lost dashboard", began, 0.0, unit=""),
+            _row("dashboard closed: other arm", [stop_ms for stop_ms, _ in refused], DASHBOARD_MS),
+            _row("dashboard silent: other arm", [stop_ms for stop_ms, _ in mute], DASHBOARD_MS),
+            _row("motions beside a lost dashboard", [began for _, began in (*refused, *mute)], 0.0, unit=""),
             _row("whole cell dead: screen", self._each(_dead_cell), DEAD_MS),
         ]
 
     def from_elsewhere(self) -> list[dict[str, Any]]:
         """``cellapp stop``, and Escape in an application that watches the job."""
         with _collecting() as bench:
-            commands = self._each(lambda: stop_command(bench))
+            stopped_ms, processor_ms = zip(*self._each(lambda: stop_command(bench)), strict=True)
             watched = watched_escapes(bench, self.repeats)
         most_ms = COMMAND_BUSY_MS if self.is_busy else COMMAND_MS
         return [
-            _row("cellapp stop", [one.stopped_ms for one in commands], most_ms),
-            _row("cellapp stop: processor time", [one.processor_ms for one in commands], PROCESSOR_MS),
+            _row("cellapp stop", stopped_ms, most_ms),
+            _row("cellapp stop: processor time", processor_ms, PROCESSOR_MS),
             _row("Escape, watched", watched, self._worst_ms + WATCHED_MS),
         ]
 
     def left(self) -> list[dict[str, Any]]:
         """Each way to leave, and what the run says of it."""
         found = {how: self._each(partial(_left, leave)) for how, leave in LEAVES.items()}
-        rows = [_row(how, [one.stopped_ms for one in its], self._worst_ms) for how, its in found.items()]
-        wrongly = [one.wrongly_recorded for its in found.values() for one in its]
+        rows = [_row(how, [stop_ms for stop_ms, _ in its], self._worst_ms) for how, its in found.items()]
+        wrongly = [wrong for its in found.values() for _, wrong in its]
         return [*rows, _row("leaving not recorded as that", wrongly, 0.0, unit="")]
 
     def connecting(self) -> list[dict[str, Any]]:
@@ -170,10 +167,11 @@ class _Trial:
         random = np.random.default_rng(1)
         with _bench() as bench:
             bench.terminal.close()
-            found = self._each(lambda: interrupted_connecting(bench.cell, bench.folder, random))
+            connecting = partial(interrupted_connecting, bench.cell, bench.folder, random)
+            ended_ms, started = zip(*self._each(connecting), strict=True)
         return [
-            _row("Ctrl-C while connecting: end", [one.ended_ms for one in found], CONNECTING_MS),
-            _row("programs run afterwards", [one.started for one in found], 0.0, unit=""),
+            _row("Ctrl-C while connecting: end", ended_ms, CONNECTING_MS),
+            _row("programs run afterwards", started, 0.0, unit=""),
         ]
 
 
@@ -182,7 +180,7 @@ def _dead_cell() -> float:
         return dead_cell(bench)
 
 
-def _left(leave: Leave) -> Left:
+def _left(leave: Leave) -> tuple[float, float]:
     with _collecting() as bench:
         return left(bench, leave)
 

@@ -23,7 +23,7 @@ from cellapp.ground.profile import Profile
 from tests.evidence.skeleton import ROOT, Evidence, Limit, Table
 from tests.evidence.wire.storm_cell import emulated_cell, undisturbed_profile, wire_profile
 from tests.evidence.wire.storm_faults import KILL, sampled_events
-from tests.evidence.wire.storm_operator import Operator, StormLog, stored
+from tests.evidence.wire.storm_operator import Operator, StormLog, lost_and_doubled, stored
 from tests.sure import sure
 
 TITLE = "Storm on the wire"
@@ -33,17 +33,11 @@ PACE = 50.0
 _LARGEST_SIGMAS = 6.0
 """Largest deviation of a point from the undisturbed run, in standard deviations of the difference."""
 SAME_RAD = 1e-6
-
-
-def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--stops", type=int, default=400)
-    parser.add_argument("--faults", type=int, default=200)
-    parser.add_argument("--kills", type=int, default=50)
-    parser.add_argument("--seed", type=int, default=1)
+OPTIONS = {"stops": 400, "faults": 200, "kills": 50, "seed": 1}
 
 
 def cases(asked: argparse.Namespace) -> dict[str, dict[str, Any]]:
-    return {"storm": {key: getattr(asked, key) for key in ("stops", "faults", "kills", "seed")}}
+    return {"storm": {key: getattr(asked, key) for key in OPTIONS}}
 
 
 def one(case: dict[str, Any]) -> dict[str, Any]:
@@ -81,9 +75,7 @@ def _judged(run: RunFile, reference: RunFile, log: StormLog, drawn: int, clearan
     complaints = list(log.complaints)
     found = stored(run.folder)
     missing = missing_readings(run)
-    lost = sum(found.get(key) != values for key, values in log.seen.items())
-    measurements = {(name, values[-4:]) for (_, name), values in found.items()}
-    doubled = len(found) - len(measurements)
+    lost, doubled = lost_and_doubled(log.seen, found)
     planned = {(stop, name) for name, q in run.read_plan().items() for stop in range(len(q))}
     listed = {(one.stop, one.arm) for one in missing if one.reason and one.kind != "not tried"}
     unexplained = planned - set(found) - listed

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import logging
+import math
 import multiprocessing
 import os
 import signal
 import socket
+import subprocess
+import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import Any
 
 from cellapp.cell.profile import profile_from_json, profile_to_json
@@ -27,12 +31,14 @@ from drivers.emulators.ur_controller import Control
 from drivers.trackers import bridge_wire as wire
 from drivers.trackers.bridge_settings import BridgeSettings
 from drivers.trackers.simulated_settings import SimulatedTrackerSettings
+from tests.evidence.skeleton import ROOT
 from tests.evidence.wire.polling import can_move, comes_about
 from tests.sure import sure
 from tests.twin import altered
 
 _PATIENT_S = 60.0
 _POLL_S = 0.01
+_STOPS_WITHIN_S = 10.0
 _SETTLE_S = 0.05
 """Wall time, of which the emulated arms need less: half a second of theirs is 0.02 s at the usual pace."""
 _BRIDGE_SILENCE_S = 2.0
@@ -105,6 +111,21 @@ class StormCell:
         """Return the status of every controller, by arm."""
         return {name: self.control(name, "status") for name in self.arms}
 
+    def began(self, since_s: float) -> int:
+        """Return how many motions began since a time [s] (``time.monotonic``)."""
+        return sum(len(self.control(name, "starts", since_s)) for name in self.arms)
+
+    def stop_ms(self, since_s: float, arms: Sequence[str] = ()) -> float:
+        """Return the time to the stop command at the last of these controllers, or of all [ms]; infinite if one has
+        none."""
+
+        def stops() -> list[list[dict[str, Any]]]:
+            return [self.control(name, "stops", since_s) for name in arms or self.arms]
+
+        if not comes_about(lambda: all(stops()), since_s + _STOPS_WITHIN_S):
+            return math.inf
+        return 1e3 * float(max(its[0]["received_s"] for its in stops()) - since_s)
+
     def wait_at_rest(self, within_s: float) -> bool:
         """Wait until no arm moves; return whether that came about."""
         deadline_s = time.monotonic() + within_s
@@ -128,6 +149,17 @@ class StormCell:
         """Return the smallest distance between the arms so far [m]."""
         seen = self.control(self.arms[0], "clearance")
         return None if seen is None else float(seen[0])
+
+
+def cellapp_process(
+    folder: Path, *words: str, program: Sequence[str] = ("-m", "cellapp"), **streams: Any
+) -> subprocess.Popen[Any]:
+    """Start a command in a folder, in a session of its own; nobody reads what it says but through ``streams``."""
+    silent = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
+    return subprocess.Popen(
+        [sys.executable, *program, *words],
+        cwd=folder, env={**os.environ, "PYTHONPATH": str(ROOT)}, start_new_session=True, **(silent | streams),
+    )  # fmt: skip
 
 
 @contextmanager

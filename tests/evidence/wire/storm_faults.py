@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -28,17 +29,25 @@ _LAST_STOP = 0.8
 """No fault is due later than at this share of the stops: the run must not end before it."""
 
 
-@dataclass(frozen=True)
-class Target:
-    """What a fault may strike: the cell, one of its arms, the collecting program, and its run's folder."""
+@dataclass
+class Scene:
+    """What a fault may strike: the cell, one of its arms, the collecting program, and its run's folder; and what other
+    programs said."""
 
     cell: StormCell
     arm: str
-    program: subprocess.Popen[bytes]
+    program: subprocess.Popen[Any]
     folder: Path
+    words: str = ""
+
+    @property
+    def children(self) -> list[int]:
+        """The processes that hold the arms' clients."""
+        found = Path(f"/proc/{self.program.pid}/task/{self.program.pid}/children").read_text("ascii")
+        return [int(pid) for pid in found.split()]
 
 
-Strike = Callable[[Target], None]
+Strike = Callable[[Scene], None]
 
 
 @dataclass(frozen=True)
@@ -49,22 +58,21 @@ class StormFault:
     stops: bool
 
 
-def _commands(*commands: tuple[object, ...]) -> Strike:
-    def strike(target: Target) -> None:
-        for name, *arguments in commands:
-            target.cell.control(target.arm, str(name), *arguments)
-
-    return strike
+def command(name: str, *arguments: object) -> Strike:
+    """A command to the emulated controller of the arm."""
+    return lambda scene: scene.cell.control(scene.arm, name, *arguments)
 
 
 def _tracker(kind: str) -> Strike:
-    return lambda target: target.cell.tracker_fault(kind)
+    return lambda scene: scene.cell.tracker_fault(kind)
 
 
-def _signal(*numbers: signal.Signals) -> Strike:
-    def strike(target: Target) -> None:
+def signals(*numbers: signal.Signals) -> Strike:
+    """Signals to the program."""
+
+    def strike(scene: Scene) -> None:
         for number in numbers:
-            target.program.send_signal(number)
+            scene.program.send_signal(number)
 
     return strike
 
@@ -72,12 +80,12 @@ def _signal(*numbers: signal.Signals) -> Strike:
 def _request(*verbs: Verb) -> Strike:
     """Ask the running job as another terminal would; a job that does not listen yet, or no more, is left alone."""
 
-    def strike(target: Target) -> None:
+    def strike(scene: Scene) -> None:
         for number, verb in enumerate(verbs):
             if number:
                 time.sleep(_PAUSE_S)
             with suppress(CellappError):
-                ask_running_job(target.folder, verb)
+                ask_running_job(scene.folder, verb)
 
     return strike
 
@@ -85,43 +93,46 @@ def _request(*verbs: Verb) -> Strike:
 def _low_slider(fraction: float) -> Strike:
     """Lower the speed slider for a while, as a person at the pendant does."""
 
-    def strike(target: Target) -> None:
-        target.cell.control(target.arm, "slider", fraction)
+    def strike(scene: Scene) -> None:
+        scene.cell.control(scene.arm, "slider", fraction)
         time.sleep(_SLIDER_S)
-        target.cell.control(target.arm, "slider", 1.0)
+        scene.cell.control(scene.arm, "slider", 1.0)
 
     return strike
 
 
-def _stall(target: Target) -> None:
+def hang(for_s: float) -> Strike:
     """Let the program hang for a while; its arms' processes go on."""
-    target.program.send_signal(signal.SIGSTOP)
-    time.sleep(_STALL_S)
-    target.program.send_signal(signal.SIGCONT)
+
+    def strike(scene: Scene) -> None:
+        scene.program.send_signal(signal.SIGSTOP)
+        time.sleep(for_s)
+        scene.program.send_signal(signal.SIGCONT)
+
+    return strike
 
 
-def _kill_worker(target: Target) -> None:
+def kill_worker(scene: Scene) -> None:
     """Kill one of the processes that hold the arms' clients."""
-    children = Path(f"/proc/{target.program.pid}/task/{target.program.pid}/children")
     with suppress(OSError):
-        for pid in children.read_text("ascii").split()[:1]:
-            os.kill(int(pid), signal.SIGKILL)
+        for pid in scene.children[:1]:
+            os.kill(pid, signal.SIGKILL)
 
 
 FAULTS: Mapping[str, StormFault] = {
-    "link closed": StormFault(_commands(("drop", "rtde", "fin")), True),
-    "link reset": StormFault(_commands(("drop", "rtde", "rst")), True),
-    "link silent": StormFault(_commands(("fault", "rtde", "silent")), True),
-    "host silent": StormFault(_commands(("fault", "*", "silent")), True),
-    "protective stop": StormFault(_commands(("protective", "now")), True),
-    "emergency stop": StormFault(_commands(("estop",)), True),
+    "link closed": StormFault(command("drop", "rtde", "fin"), True),
+    "link reset": StormFault(command("drop", "rtde", "rst"), True),
+    "link silent": StormFault(command("fault", "rtde", "silent"), True),
+    "host silent": StormFault(command("fault", "*", "silent"), True),
+    "protective stop": StormFault(command("protective", "now"), True),
+    "emergency stop": StormFault(command("estop"), True),
     "slider at 0": StormFault(_low_slider(0.0), False),
     "slider at 30 %": StormFault(_low_slider(0.3), False),
-    "worker killed": StormFault(_kill_worker, True),
-    "computer stalls": StormFault(_stall, True),
-    "Ctrl-C": StormFault(_signal(signal.SIGINT), True),
-    "Ctrl-C twice": StormFault(_signal(signal.SIGINT, signal.SIGINT), True),
-    "terminated": StormFault(_signal(signal.SIGTERM), True),
+    "worker killed": StormFault(kill_worker, True),
+    "computer stalls": StormFault(hang(_STALL_S), True),
+    "Ctrl-C": StormFault(signals(signal.SIGINT), True),
+    "Ctrl-C twice": StormFault(signals(signal.SIGINT, signal.SIGINT), True),
+    "terminated": StormFault(signals(signal.SIGTERM), True),
     "stop asked": StormFault(_request("stop"), True),
     "abort asked": StormFault(_request("abort"), True),
     "pause asked": StormFault(_request("pause", "resume"), False),
@@ -133,7 +144,7 @@ FAULTS: Mapping[str, StormFault] = {
     "bridge repeats": StormFault(_tracker("repeat"), False),
     "bridge restarts": StormFault(_tracker("reboot"), False),
     "tracker restarts": StormFault(_tracker("tracker-reboot"), False),
-    KILL: StormFault(_signal(signal.SIGKILL), True),
+    KILL: StormFault(signals(signal.SIGKILL), True),
 }
 """Faults by name; ``KILL`` is counted apart."""
 

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import math
-import os
 import signal
 import subprocess
-import sys
 import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -15,11 +13,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any
 
-import cellapp
 from cellapp.cell.run import RunFile
 from cellapp.ground.errors import HardwareError, InputError
-from tests.evidence.wire.storm_cell import StormCell
-from tests.evidence.wire.storm_faults import FAULTS, LONGEST_DELAY_S, Event, Target
+from tests.evidence.wire.storm_cell import StormCell, cellapp_process
+from tests.evidence.wire.storm_faults import FAULTS, LONGEST_DELAY_S, Event, Scene
 
 COMMANDED_WITHIN_S = 0.1
 """Limit: from the first stop that a controller received to that of every other."""
@@ -75,6 +72,12 @@ def stored(folder: Path) -> Stored:
     return found
 
 
+def lost_and_doubled(seen: Stored, found: Stored) -> tuple[int, int]:
+    """Return how many readings that were seen are gone or have changed, and how many of the found are there twice."""
+    lost = sum(found.get(key) != values for key, values in seen.items())
+    return lost, len(found) - len({(name, values[-4:]) for (_, name), values in found.items()})
+
+
 class Operator:
     """One person at the cell; ``output`` receives what the programs print."""
 
@@ -109,15 +112,7 @@ class Operator:
         """Run the collecting program once; return its exit code, with the cell repaired and at rest."""
         self.log.sessions += 1
         words = ["collect", str(self._folder), *(["--resume"] if self.log.sessions > 1 else [])]
-        program = subprocess.Popen(
-            [sys.executable, "-m", "cellapp", *words],
-            cwd=self._folder.parent,
-            env={**os.environ, "PYTHONPATH": str(Path(cellapp.__file__).parents[1])},
-            stdin=subprocess.DEVNULL,
-            stdout=self._output,
-            stderr=self._output,
-            start_new_session=True,
-        )
+        program = cellapp_process(self._folder.parent, *words, stdout=self._output, stderr=self._output)
         try:
             last = self._watch(program)
         finally:
@@ -139,7 +134,7 @@ class Operator:
                 read_s = now_s
                 if self._look():
                     progress_s = now_s
-            if not working and self._has_moved_since(began_s):
+            if not working and self._cell.began(began_s):
                 working, ready_s = True, max(ready_s, now_s)
             event = self._events[0] if self._events else None
             if event is not None and self._is_due(event, working, now_s - ready_s, now_s - began_s):
@@ -163,12 +158,9 @@ class Operator:
             return idle_s >= min(event.delay_s, LONGEST_DELAY_S)
         return event.at_start and age_s >= event.delay_s
 
-    def _has_moved_since(self, began_s: float) -> bool:
-        return any(self._cell.control(name, "starts", began_s) for name in self._cell.arms)
-
     def _strike(self, event: Event, program: subprocess.Popen[bytes]) -> None:
         self.log.struck[event.kind] += 1
-        FAULTS[event.kind].strike(Target(self._cell, event.arm, program, self._folder))
+        FAULTS[event.kind].strike(Scene(self._cell, event.arm, program, self._folder))
 
     def _finished(self) -> int:
         return len({stop for stop, _ in self.log.seen})

@@ -62,7 +62,6 @@ _TRIES = 5
 _MOVES_WITHIN_S = 8.0
 """Longer than connecting, than a measurement at a stop, and than a way between two stops."""
 _BEGINS_WITHIN_S = 30.0
-_STOPS_WITHIN_S = 10.0
 _RESTS_WITHIN_S = 5.0
 _QUIET_S = 0.15
 """Screens are drawn ten times a second while a job runs."""
@@ -75,30 +74,6 @@ _TOLD = 4
 """Requests of the run that a complaint names."""
 _LAST = 2000
 """Characters of what was drawn last that a complaint shows."""
-
-
-@dataclass(frozen=True)
-class Press:
-    """One press while all arms moved.
-
-    Attributes
-    ----------
-    key, place : str
-    latency_ms : mapping
-        Controller -> time from the byte to the stop command [ms]; infinite if none came.
-    began : int
-        Motions that began between the stop commands and the resume.
-    """
-
-    key: str
-    place: str
-    latency_ms: Mapping[str, float]
-    began: int
-
-    @property
-    def worst_ms(self) -> float:
-        """Time to the stop command at the last controller [ms]."""
-        return max(self.latency_ms.values())
 
 
 class PressBench:
@@ -125,7 +100,7 @@ class PressBench:
         terminal.until(partial(_contains, "Begin to collect?"), "the question")
         terminal.quiet(_QUIET_S)
         terminal.send("b")
-        comes_about(partial(self._began, 0.0), time.monotonic() + _BEGINS_WITHIN_S)
+        comes_about(partial(self.cell.began, 0.0), time.monotonic() + _BEGINS_WITHIN_S)
 
     def _go(self, place: Place) -> None:
         """Go from Collect to a place."""
@@ -151,8 +126,11 @@ class PressBench:
             self.resume(place, what)
         raise HardwareError(f"{what}: the arms do not move\n{self.terminal.text()[-_LAST:]}")
 
-    def press(self, key: str, place: str) -> Press:
+    def press(self, key: str, place: str) -> tuple[float, int]:
         """Press a key at a place while all arms move, watch the controllers, and resume.
+
+        Returns the time from the byte to the stop command at the last controller [ms], infinite if one had none, and
+        the number of motions that began between the stop commands and the resume.
 
         Raises
         ------
@@ -161,16 +139,15 @@ class PressBench:
         """
         self.go_while_moving(PLACES[place], f"{key}, {place}")
         sent_s = self.terminal.send(KEYS[key])
-        latency_ms = {name: self.stop_ms(name, sent_s) for name in self.cell.arms}
+        stop_ms = self.cell.stop_ms(sent_s)
         if key == "mouse":
             self.terminal.send(_RELEASED)
         if not self.cell.wait_at_rest(_RESTS_WITHIN_S):
-            raise HardwareError(f"{key}, {place}: no stop came, or the arms do not rest: {latency_ms}")
+            raise HardwareError(f"{key}, {place}: no stop came, or the arms do not rest: {stop_ms:g} ms")
         time.sleep(_WATCHED_S)
-        since_s = sent_s + max(latency_ms.values()) / 1e3
-        began = sum(len(self.cell.control(name, "starts", since_s)) for name in self.cell.arms)
+        began = self.cell.began(sent_s + stop_ms / 1e3)
         self.resume(PLACES[place], f"{key}, {place}")
-        return Press(key, place, latency_ms, began)
+        return stop_ms, began
 
     def resume(self, place: Place, what: str) -> None:
         """Go back to Collect and resume. Raises ``HardwareError`` if no motion begins."""
@@ -180,7 +157,7 @@ class PressBench:
         while time.monotonic() < end_s:
             self.terminal.quiet(_QUIET_S, times=2.0)
             self.terminal.send("c")
-            if comes_about(partial(self._began, since_s), time.monotonic() + _RESUMED_WITHIN_S):
+            if comes_about(partial(self.cell.began, since_s), time.monotonic() + _RESUMED_WITHIN_S):
                 return
         raise HardwareError(
             f"{what}: no motion begins after resume; the run says: {self._last_requests()}\n"
@@ -193,15 +170,6 @@ class PressBench:
             sessions = run.sessions()
         said = [f"{one.kind}: {one.reason}" for session in sessions for one in session.requests]
         return "; ".join(said[-_TOLD:]) or "nothing"
-
-    def _began(self, since_s: float) -> bool:
-        return any(self.cell.control(name, "starts", since_s) for name in self.cell.arms)
-
-    def stop_ms(self, name: str, sent_s: float) -> float:
-        """Time from ``sent_s`` to the stop command at a controller [ms]; infinite if none comes."""
-        if not comes_about(lambda: bool(self.cell.control(name, "stops", sent_s)), sent_s + _STOPS_WITHIN_S):
-            return float("inf")
-        return float(self.cell.control(name, "stops", sent_s)[0]["received_s"] - sent_s) * 1e3
 
 
 def _contains(words: str, text: str) -> bool:

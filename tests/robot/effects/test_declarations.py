@@ -29,6 +29,7 @@ from cellapp.robot.effects import (
     term_to_json,
 )
 from cellapp.robot.effects.data_driven import Quantity, Variable, acted_on, form_of
+from tests.arms import effect_term
 from tests.interfaces.plugins.installed import add_example, installed
 from tests.robot.effects.cell import context_of
 from tests.sure import sure
@@ -109,15 +110,8 @@ def test_an_incomplete_effect_is_not_registered() -> None:
 
 
 def compliance() -> EffectTerm:
-    return EffectTerm(
-        slug="joint_compliance",
-        names=("compliance2", "soft2"),
-        values=np.array([1.1e-5, 3e-6]),
-        standard_errors=np.array([1e-8, 2e-8]),
-        units=("rad/Nm", "rad/Nm"),
-        law=EFFECTS["joint_compliance"].law("two_slope", {"knee2": 31.0}, 4),
-        note="noted",
-    )
+    law = EFFECTS["joint_compliance"].law("two_slope", {"knee2": 31.0}, 4)
+    return effect_term("joint_compliance", {"compliance2": 1.1e-5, "soft2": 3e-6}, "rad/Nm", law=law)
 
 
 def test_discoverys_layout_of_a_law_is_read_as_well() -> None:
@@ -150,7 +144,7 @@ HOSE = "hose_pull"
 def a_term() -> EffectTerm:
     """A pull of joint 2."""
     law = EFFECTS[HOSE].law("own", {"slack": 1.0})
-    return EffectTerm(HOSE, ("pull2",), np.array([3e-4]), np.array([1e-6]), ("rad/rad",), law)
+    return effect_term(HOSE, {"pull2": 3e-4}, "rad/rad", law=law)
 
 
 def test_a_term_of_a_plugin_that_was_removed_is_refused(tmp_path: Path) -> None:

@@ -248,14 +248,7 @@ def test_a_wanted_rotation_half_a_turn_from_the_start_is_solved_or_reported(axis
 BASE = np.array([0.4, -0.3, 0.2, 0.1, -0.2, 0.7])
 TOOL = np.array([0.03, -0.02, 0.11])
 H = 0.5 * np.pi
-UR = [
-    [0.0, 0.1273, 0.0, H, 0.0],
-    [0.0, 0.0, -0.612, 0.0, 0.0],
-    [0.0, 0.0, -0.5723, 0.0, 0.0],
-    [0.0, 0.163941, 0.0, H, 0.0],
-    [0.0, 0.1157, 0.0, -H, 0.0],
-    [0.0, 0.0922, 0.0, 0.0, 0.0],
-]
+UR = [[*row, 0.0] for row in UR10.tolist()]
 OFFSET_PARALLEL = [
     [0.1, 0.1, 0.07, 1.2, 0.0],
     [0.2, 0.05, -0.6, np.pi, 0.0],
@@ -363,17 +356,7 @@ def test_other_chains_have_no_closed_form() -> None:
 
 GENERAL = geometry([[0.0, 0.3, 0.1, 1.4, 0.0], [0.0, 0.1, 0.4, 0.3, 0.0], *UR[2:]])
 """Axes 2 and 3 are not parallel: no closed form."""
-SEVEN_OF_BRANCHES = geometry(
-    [
-        [0.0, 0.34, 0.0, -H, 0.0],
-        [0.0, 0.0, 0.0, H, 0.0],
-        [0.0, 0.4, 0.0, H, 0.0],
-        [0.0, 0.0, 0.0, -H, 0.0],
-        [0.0, 0.4, 0.0, -H, 0.0],
-        [0.0, 0.0, 0.0, H, 0.0],
-        [0.0, 0.126, 0.0, 0.0, 0.0],
-    ]
-)
+SEVEN_OF_BRANCHES = geometry([[*row, 0.0] for row in SEVEN.tolist()])
 FIVE = replace(GENERAL, rows=GENERAL.rows[:5])
 FOUR_TURNS = np.tile([-2.0 * np.pi, 2.0 * np.pi], (7, 1))
 

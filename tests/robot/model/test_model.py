@@ -10,12 +10,12 @@ import pytest
 
 from cellapp.estimation.calibration.identification import identify
 from cellapp.ground.errors import InputError
-from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
+from cellapp.robot.effects import EFFECTS, MeasurementConditions
 from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.kinematics.statics import Bodies
 from cellapp.robot.model import ArmModel, CellModel, ResidualNetwork
 from cellapp.robot.model.model import PosteriorSamples, ReadingsNoise
-from tests.arms import OFF_AXIS, STATION, UR10, UR10_CENTERS, UR10_MASSES, at_station, true_geometry
+from tests.arms import OFF_AXIS, UR10, UR10_CENTERS, UR10_MASSES, at_station, effect_term, true_geometry
 
 
 def network(rng):
@@ -31,17 +31,8 @@ def cell_model():
     rng = np.random.default_rng(0)
     nominal = at_station(UR10, OFF_AXIS)
     terms = (
-        EffectTerm(
-            "joint_compliance",
-            ("compliance2",),
-            np.array([1.7e-5]),
-            np.array([1e-8]),
-            ("rad/Nm",),
-            EFFECTS["joint_compliance"].law(),
-        ),
-        EffectTerm(
-            "backlash", ("half_play1",), np.array([1e-4]), np.array([1e-6]), ("rad",), EFFECTS["backlash"].law()
-        ),
+        effect_term("joint_compliance", {"compliance2": 1.7e-5}, "rad/Nm", error=1e-8),
+        effect_term("backlash", {"half_play1": 1e-4}, error=1e-6),
     )
     arm = ArmModel(
         geometry=true_geometry(nominal, rng),
@@ -117,35 +108,6 @@ def test_every_effect_is_documented_and_keeps_its_columns():
 
 # -- Draws of the fitted parameters: they spread as their covariance says, survive JSON, and give honest intervals -----
 
-COLUMNS = tuple(range(12))
-COMPLIANCE = EffectTerm(
-    "joint_compliance",
-    ("compliance2", "compliance3"),
-    np.array([1.7e-5, 2.0e-5]),
-    np.array([1e-6, 1e-6]),
-    ("rad/Nm", "rad/Nm"),
-    EFFECTS["joint_compliance"].law(),
-)
-
-
-def arm():
-    nominal = at_station(UR10, OFF_AXIS)
-    return ArmModel(
-        geometry=true_geometry(nominal, np.random.default_rng(0)),
-        nominal=nominal,
-        bodies=Bodies(UR10_MASSES, UR10_CENTERS, 1.5, np.array([0.0, 0.01, 0.08])),
-        up_M=STATION[:3, :3] @ np.array([0.0, 0.0, 1.0]),
-        effects=(COMPLIANCE,),
-    )
-
-
-def covariance(rng):
-    """Of twelve geometric parameters and two compliances, all correlated."""
-    size = len(COLUMNS) + len(COMPLIANCE.names)
-    scale = np.array([1e-5] * len(COLUMNS) + [1e-6] * len(COMPLIANCE.names))
-    root = rng.normal(size=(size, size)) / np.sqrt(size) * scale[:, None]
-    return root @ root.T
-
 
 def test_intervals_hold_95_percent_of_new_simulated_readings():
     """Geometry from 60 readings: new coordinates are within 1.96 standard deviations in 95 % of all cases."""
@@ -159,7 +121,8 @@ def test_intervals_hold_95_percent_of_new_simulated_readings():
         found = identify(nominal, q[:60], p_M[:60], sigma=np.full(60, sigma_m))
         columns, Sigma = found.estimated.columns, found.estimated_covariance
         draws = PosteriorSamples.of_covariance(columns, [], Sigma, ReadingsNoise(sigma_m), (seed,))
-        model = replace(arm(), geometry=found.geometry, nominal=nominal, effects=(), posterior=draws)
+        bodies = Bodies(UR10_MASSES, UR10_CENTERS, 0.0, np.zeros(3))
+        model = ArmModel(found.geometry, nominal, bodies, np.array([0.0, 0.0, 1.0]), posterior=draws)
         left = np.abs(p_M[60:] - model.predict(q[60:]))
         within.append(left <= 1.96 * model.measured_uncertainty(q[60:])[:, None])
         uncertain.append(model.uncertainty(q[60:]))

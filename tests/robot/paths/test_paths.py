@@ -16,7 +16,7 @@ from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import refuse_stop
 from cellapp.cell.targets.path import PathPlan, PathSpec, load_paths, plan_path
 from cellapp.ground.profile import Profile
-from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
+from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.chain import parameter_names
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel, CellModel
@@ -24,6 +24,7 @@ from cellapp.robot.model.nominal import bodies_of, nominal_arm, pose_matrix, up_
 from cellapp.robot.paths.cartesian import Arc, CartesianPath
 from cellapp.robot.paths.joint_path import Sweep
 from tests.approved import assert_refused
+from tests.arms import effect_term
 from tests.sure import sure
 from tests.twin import PROFILES, small_twin
 
@@ -51,15 +52,7 @@ def calibrated(profile: Profile) -> CellModel:
         names = parameter_names(nominal.joints)
         sizes = np.array([3e-4 if "a" in parameter or "d" in parameter else 1e-3 for parameter in names])
         real = nominal.with_vector(nominal.vector() + 0.3 * sizes * rng.standard_normal(len(names)))
-        plays = tuple(f"half_play{j + 1}" for j in range(nominal.joints))
-        term = EffectTerm(
-            "backlash",
-            plays,
-            np.full(len(plays), 1e-4),
-            np.zeros(len(plays)),
-            ("rad",) * len(plays),
-            EFFECTS["backlash"].law(),
-        )
+        term = effect_term("backlash", {f"half_play{j + 1}": 1e-4 for j in range(nominal.joints)})
         arms[name] = ArmModel(real, nominal, bodies_of(arm), up_in_tracker(profile), (term,))
     return CellModel(arms)
 

@@ -36,7 +36,7 @@ from cellapp.robot.effects.periodic import LINES
 from cellapp.robot.effects.unknown import curve_families, pair_families
 from cellapp.robot.kinematics.chain import smr_positions
 from drivers.plant.random_functions import RandomField
-from tests.estimation.discovery.problems import arm_of, data_of
+from tests.estimation.discovery.problems import arm_of, data_of, only
 from tests.sure import sure
 from tests.twin import PROFILES
 
@@ -62,9 +62,7 @@ def searched(data: ArmData, fit: JointFit) -> tuple[SearchProblem, SearchState]:
 
 def crosstalk(q):
     """Joint 4 is off by a law of joint 5."""
-    bent = np.zeros_like(q)
-    bent[:, 3] = 2e-4 * np.sin(3.0 * q[:, 4])
-    return bent
+    return only(4, 2e-4 * np.sin(3.0 * q[:, 4]))
 
 
 def test_an_unknown_law_is_found_and_named_effects_that_imitate_it_go():
@@ -292,20 +290,14 @@ def searched_off(bend, slug="", names=(), shift=None):
     return problem, SearchState(*refit(data, terms))
 
 
-def at_joint(joint, offset):
-    bent = np.zeros((N, 6))
-    bent[:, joint] = offset
-    return bent
-
-
 def softer(q, torques, approach):
     """A spring at joint 2 that is softer under small torques."""
     tau = torques[:, 1]
-    return at_joint(1, 1e-5 * tau + 1.2e-4 * np.tanh(tau / 30.0))
+    return only(2, 1e-5 * tau + 1.2e-4 * np.tanh(tau / 30.0))
 
 
 def linear(q, torques, approach):
-    return at_joint(1, 1.2e-5 * torques[:, 1])
+    return only(2, 1.2e-5 * torques[:, 1])
 
 
 def test_a_law_that_is_right_has_none():
@@ -329,7 +321,7 @@ def test_what_a_law_leaves_over_is_no_other_effect():
 
 def test_a_small_name_beside_a_larger_one_of_the_same_variables_is_of_unknown_state():
     def both(q, torques, approach):
-        return at_joint(0, -1.5e-4 * approach[:, 0]) + at_joint(2, -5e-7 * approach[:, 2] * np.abs(torques[:, 2]))
+        return only(1, -1.5e-4 * approach[:, 0]) + only(3, -5e-7 * approach[:, 2] * np.abs(torques[:, 2]))
 
     problem, state = searched_off(both, "backlash", ("half_play1",))
     best = best_new_score(problem, state, "friction_windup")
@@ -360,7 +352,7 @@ def test_a_tilt_both_ways_is_a_wobble():
 
 def test_a_joint_that_follows_its_neighbours_angle_is_no_wobble():
     """Joint 4 that follows three cycles of joint 5 tilts the axis of joint 5 in one direction only."""
-    problem, state = searched_off(lambda q, torques, approach: at_joint(3, 3e-4 * np.sin(3.0 * q[:, 4])))
+    problem, state = searched_off(lambda q, torques, approach: only(4, 3e-4 * np.sin(3.0 * q[:, 4])))
     score = best_new_score(problem, state, "joint_axis_wobble")
     assert score.value > THRESHOLD, "it looks like one"
     assert addition(problem, state, score) is None

@@ -24,6 +24,7 @@ from cellapp.robot.kinematics.statics import Bodies
 from cellapp.robot.kinematics.transforms import rotation_from_vector, transform
 from cellapp.robot.model import ArmModel
 from tests.arms import OFF_AXIS, SEVEN, UR5, UR10, at_station, measured_rotations, true_geometry
+from tests.series import readings_at
 
 Array = NDArray[np.float64]
 SIGMA_M = 1.5e-5
@@ -66,17 +67,10 @@ def readings_of(true: Geometry, q: Array, rng: np.random.Generator) -> Readings:
     model = model_of(true, true)
     angular: dict[str, Any] = {}
     if true.probe is not None:
-        angular = {"quaternion_M": measured_rotations(model, q, SIGMA_RAD, rng), "sigma_rad": np.full(n, SIGMA_RAD)}
+        angular = {"quaternion_M": measured_rotations(model, q, SIGMA_RAD, rng), "sigma_rad": SIGMA_RAD}
     steps = np.diff(np.vstack([np.zeros(q.shape[1]), q]), axis=0)
-    return Readings(
-        configuration=np.arange(n),
-        time_s=np.full(n, np.nan),
-        q=q,
-        approach=np.sign(steps).astype(np.int8),
-        p_M=model.predict(q) + rng.normal(0.0, SIGMA_M, (n, 3)),
-        covariance_M=np.broadcast_to(SIGMA_M**2 * np.eye(3), (n, 3, 3)).copy(),
-        **angular,
-    )
+    p_M, covariance_M = model.predict(q) + rng.normal(0.0, SIGMA_M, (n, 3)), np.tile(SIGMA_M**2 * np.eye(3), (n, 1, 1))
+    return readings_at(q, p_M, approach=np.sign(steps), covariance_M=covariance_M, **angular)
 
 
 def model_of(geometry: Geometry, nominal: Geometry) -> ArmModel:

@@ -20,10 +20,11 @@ from cellapp.estimation.monitoring.sequential import SequentialTest
 from cellapp.estimation.readings import Readings, joined
 from cellapp.ground.errors import InputError, NotConverged
 from cellapp.ground.profile import Profile
-from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
+from cellapp.robot.effects import EFFECTS, MeasurementConditions
 from cellapp.robot.kinematics.chain import Geometry, parameter_names
 from cellapp.robot.kinematics.transforms import apply, invert, rotation_from_vector, transform
 from cellapp.robot.model import CellModel
+from tests.arms import effect_term
 from tests.estimation.monitoring.check.conftest import (
     SIGMA_M,
     SimulatedCell,
@@ -303,11 +304,7 @@ def test_drift_of_the_day_hides_as_large_a_motion_of_the_base(pair: SimulatedCel
     context = arm.model.context(its.q, conditions=conditions)
     law = effect.laws(context)[0]
     columns = effect.columns(context, law)[:3]
-    values = np.full(3, 1e-4)
-    term = EffectTerm(
-        "base_drift", tuple(c.name for c in columns), values, 0 * values, tuple(c.unit for c in columns), law
-    )
-    drifting = replace(arm.model, effects=(term,))
+    drifting = replace(arm.model, effects=(effect_term("base_drift", {c.name: 1e-4 for c in columns}, "m", law=law),))
     readings = replace(its, p_M=its.p_M + drifting.predict(its.q, conditions=conditions) - arm.model.predict(its.q))
     measured = measured_quantities(readings, conditions)
     count = len(arm.columns) + 3

@@ -1,4 +1,4 @@
-"""A serial cable without hardware: two pseudo terminals and a thread that copies bytes between them."""
+"""An emulated bridge and its client, over TCP or a serial cable without hardware."""
 
 from __future__ import annotations
 
@@ -7,12 +7,48 @@ import select
 import threading
 import tty
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from typing import Any
+
+import numpy as np
+
+from drivers.emulators.tracker_bridge import TrackerBridgeEmulator
+from drivers.plant import Plant
+from drivers.trackers.bridge import BridgeTracker
+from drivers.trackers.protocol import Preparation
+
+NEST = np.array([1.5, 2.0, -0.3])
+"""Where an SMR rests that no arm carries."""
+
+
+@contextmanager
+def client(url: str, **options: Any) -> Iterator[BridgeTracker]:
+    """A connected client, disconnected at the end."""
+    tracker = BridgeTracker(url, **({"preparation": Preparation()} | options))
+    tracker.connect()
+    try:
+        yield tracker
+    finally:
+        tracker.disconnect()
+
+
+@contextmanager
+def over(
+    kind: str, plant: Plant, timeout_s: float, **options: Any
+) -> Iterator[tuple[TrackerBridgeEmulator, BridgeTracker]]:
+    """An emulated bridge with a nest, and a client, over ``tcp`` or a ``serial`` cable."""
+    with ExitStack() as stack:
+        url = ""
+        if kind == "serial":
+            theirs, url = stack.enter_context(serial_cable())
+            options |= {"port": None, "serial_url": theirs}
+        bridge = stack.enter_context(TrackerBridgeEmulator(plant, nests={"n": NEST}, **options))
+        yield bridge, stack.enter_context(client(url or bridge.url, timeout_s=timeout_s))
 
 
 @contextmanager
 def serial_cable() -> Iterator[tuple[str, str]]:
-    """The device names of the two ends."""
+    """The device names of two pseudo terminals, between which a thread copies bytes."""
     masters, slaves = [], []
     for _ in range(2):
         master, slave = os.openpty()
