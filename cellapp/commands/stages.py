@@ -328,7 +328,7 @@ def known_files(folder: Path) -> tuple[Path | None, Path | None]:
 
 def tracker_moved(located: StoredStage | None) -> bool:
     """Return whether ``check --tracker-moved`` found that the tracker was moved since the readings were taken."""
-    return located is not None and says_moved(located.text)
+    return located is not None and (json_object(located.text) or {}).get("moved") is True
 
 
 def append_stage(run: RunFile, name: StageName, result: Result, basis: Basis, model: str | None = None) -> StoredStage:
@@ -507,12 +507,6 @@ def json_object(text: str) -> dict[str, object] | None:
     except ValueError:
         return None
     return content if isinstance(content, dict) else None
-
-
-def says_moved(text: str) -> bool:
-    """Return whether this location of the tracker says that it was moved since the readings were taken."""
-    content = json_object(text)
-    return content is not None and content.get("moved") is True
 
 
 def found_change(text: str) -> str:

@@ -37,7 +37,7 @@ def iso9283_section(result: Iso9283Result, about: str) -> Section:
     """Show first what decides; the other tables are folded."""
     others = _other_tables(result)
     details = [Section(others, folded=True, title="All other characteristics")] if others else []
-    first = [*_deciding_tables(result), *iso9283_sentences(result), *iso9283_charts(result)]
+    first: list[Part] = [*_deciding_tables(result), *iso9283_sentences(result), *iso9283_charts(result)]
     return section_of([*first, *details], about=about)
 
 

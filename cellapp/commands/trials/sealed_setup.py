@@ -135,9 +135,6 @@ def cases(arms: Sequence[str], kind: str, n: int, seed: int) -> list[Case]:
     return [found[place] for place in order]
 
 
-LAWS = ("same", "other")
-RANGES = ("full", "narrow")
-PLANS = ("random", "designed")
 MASS_ERROR = 0.05
 """Relative standard deviation of true link masses about the nominal ones: they are never known better."""
 FEWEST_HELD_OUT = 10
@@ -177,13 +174,12 @@ class Setup(Record):
 
     def check(self) -> None:
         """Raise ``InputError`` for an unknown word, or for what does not belong together."""
-        words: tuple[tuple[str, str, tuple[str, ...]], ...] = (
+        for name, word, known in (
             ("kind", self.kind, (*KINDS, HARD, MIXED)),
-            ("laws", self.laws, LAWS),
-            ("ranges", self.ranges, RANGES),
-            ("plan", self.plan_method, PLANS),
-        )
-        for name, word, known in words:
+            ("laws", self.laws, ("same", "other")),
+            ("ranges", self.ranges, ("full", "narrow")),
+            ("plan", self.plan_method, ("random", "designed")),
+        ):
             if word not in known:
                 raise InputError(f"--{name}: '{word}' is not known; {name.rstrip('s')}s are {', '.join(known)}")
         if self.plan_method == "designed" and self.ranges != "full":
