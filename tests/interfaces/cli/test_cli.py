@@ -153,34 +153,6 @@ def test_doctor(work: Path, call: Any) -> None:
     assert "checks failed" in ended.err
 
 
-PATHS = """\
-schema: cellapp-paths
-version: 1
-paths:
-  - name: short
-    arm: left
-    poses:
-      - {position: [-0.15, -0.75, 0.55], rpy: ["90 deg", 0, 0]}
-      - {position: [-0.10, -0.75, 0.55]}
-    speed: 100 mm/s
-    tolerance: 0.3 mm
-"""
-
-
-def test_paths_are_compensated_written_and_shown(work: Path, call: Any) -> None:
-    (work / "paths.yaml").write_text(PATHS)
-    assert "'cellapp compensate collected " in call("show", "collected", "paths").err
-    planned = call("compensate", "done", "paths.yaml", "--out", "q.csv", "--json", "-").json
-    assert planned["schema"] == "cellapp-path"
-    assert (work / "q.csv").is_file()
-    assert call("compensate", "done", "paths.yaml", "--out", "q.txt").code == 2
-    assert "'cellapp compensate DIR PATHS --out FILE'" in call("follow", "done", "paths.yaml").err
-    shown = call("show", "done", "paths")
-    assert "off by the" in shown.out
-    assert call("report", "done").code == 0
-    assert "<h2>Paths</h2>" in (work / "done" / "report.html").read_text("utf-8")
-
-
 def test_the_whole_run_in_one_command(work: Path, call: Any) -> None:
     (work / "targets" / "twin.yaml").write_text(few_targets())
     ended = call("run", "twin.yaml", "--run", "all/of/it", "--json", "-")
@@ -306,8 +278,8 @@ def test_a_transcript_says_what_was_approved(
 ) -> None:
     """``cellapp WORDS``; ``does WORDS``, of which only the exit code is kept; ``refused WORDS`` and ``looks WORDS``,
     which fail or not, and change no byte; ``spoil WHAT``; ``log``; ``write FILE TEXT``; ``edit FILE OLD NEW``;
-    ``keys FILE``; ``same FILE FILE``. Below stands what is printed, marked if on standard error, and an exit code that
-    is not 0. Digits are compared where commands are refused.
+    ``keys FILE``; ``page HEADING``; ``same FILE FILE``. Below stands what is printed, marked if on standard error, and
+    an exit code that is not 0. Digits are compared where commands are refused.
     """
     monkeypatch.setenv("COLUMNS", "100")
     shown = []
@@ -328,6 +300,8 @@ def test_a_transcript_says_what_was_approved(
                 edit(work / words[0], words[1].replace("\\n", "\n"), words[2])
             case "keys":
                 shown += keys_of(json.loads((work / words[0]).read_text("utf-8")))
+            case "page":
+                assert f"<h2>{words[0]}</h2>" in (work / "done" / "report.html").read_text("utf-8")
             case "same":
                 assert (work / words[0]).read_bytes() == (work / words[1]).read_bytes()
             case _:
