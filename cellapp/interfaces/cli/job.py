@@ -106,17 +106,6 @@ class CommandJob:
         for line in lines:
             print(self._filled(line), file=sys.stderr, flush=True)
 
-    def show(self, tables: Sequence[Table]) -> None:
-        """Print tables on the same stream as ``say``."""
-        from rich.console import Console
-
-        from cellapp.interfaces.render.terminal import rich_table
-
-        self._stop_bars()
-        console = Console(stderr=self._json_file == "-")
-        for table in tables:
-            console.print(rich_table(table, cut=False), crop=False)
-
     def show_view(self, view: Parts, rest: str = "") -> None:
         """Print the tables and lines of a view in their order; on a terminal as much as fits, if ``rest`` names it."""
         parts: Iterable[Table | str] = printed(view, self._filled)
@@ -128,7 +117,16 @@ class CommandJob:
             if isinstance(part, str):
                 self.say(part)
             else:
-                self.show([part])
+                self._show(part)
+
+    def _show(self, table: Table) -> None:
+        """Print a table on the same stream as ``say``."""
+        from rich.console import Console
+
+        from cellapp.interfaces.render.terminal import TerminalTable
+
+        self._stop_bars()
+        Console(stderr=self._json_file == "-").print(TerminalTable(table, cut=False), crop=False)
 
     @property
     def writes_json(self) -> bool:
