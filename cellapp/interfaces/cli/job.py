@@ -134,24 +134,20 @@ class CommandJob:
         return self._json_file is not None
 
     def result(self, result: Result) -> None:
-        """Write the result as JSON if ``--json`` was given."""
-        if self._json_file is not None:
-            self.write_json(result.to_json(indent=1))
-
-    def write_json(self, text: str) -> None:
-        """Write a JSON text to the destination of ``--json``, if given."""
+        """Write the result as JSON to the destination of ``--json``, if given."""
         if self._json_file is None:
             return
-        if self._json_file == "-":
-            try:
-                sys.stdout.write(text + "\n")
-                sys.stdout.flush()
-            except BrokenPipeError:
-                raise
-            except OSError as error:
-                raise InputError(f"--json: standard output cannot be written ({error.strerror})") from None
+        text = result.to_json(indent=1) + "\n"
+        if self._json_file != "-":
+            self.outputs.write_text(Path(self._json_file), text, "--json")
             return
-        self.outputs.write_text(Path(self._json_file), text + "\n", "--json")
+        try:
+            sys.stdout.write(text)
+            sys.stdout.flush()
+        except BrokenPipeError:
+            raise
+        except OSError as error:
+            raise InputError(f"--json: standard output cannot be written ({error.strerror})") from None
 
     def _react(self, number: int) -> None:
         """React to a signal, in the thread that watches the signals; brakes come before any message."""

@@ -579,10 +579,11 @@ class CellApp(JobKeys):
         state = self.record.state
         for event in self.jobs.events(_MOST_TAKEN):
             self.record.add(event)
-        self.record.look(self.live())
+        live = self.jobs.control.live() if self.jobs.running else None
+        self.record.look(live)
         with contextlib.suppress(NoMatches, StopIteration):
             if (screen := self._made_screen) is not None:
-                screen.query_one(LiveStrip).look()
+                screen.query_one(LiveStrip).show(live, self.workspace.unseen)
         if self.record.changes == self._drawn:
             return
         self._drawn = self.record.changes

@@ -24,7 +24,6 @@ from cellapp.interfaces.tui.workspace import Step, Workspace
 
 if TYPE_CHECKING:
     from cellapp.commands.record import View
-    from cellapp.ground.progress import CellLive
     from cellapp.ground.results import Result
 
 
@@ -110,10 +109,6 @@ class Host(App[None]):
         """Let another program have the terminal; ``SuspendNotSupported`` where that cannot be."""
         with self.suspend(), self.leaving.lent():
             yield
-
-    def live(self) -> CellLive | None:
-        """Return what is known now of the cell that the current job has open; None without one."""
-        return self.jobs.control.live() if self.jobs.running else None
 
     def open_profile(self, path: Path) -> None:
         """Open a profile without a run."""
