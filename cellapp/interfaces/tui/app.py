@@ -214,14 +214,10 @@ _TICK_S = 1.0
 _PRELOAD_AFTER_S = 0.3
 """Delay of the preload, so that the first screen is drawn before it."""
 _LATER = (
-    "cellapp.cell.run",
-    "cellapp.commands.report.data",
     *(f"cellapp.interfaces.tui.screens.{entry.step}" for entry in SCREENS),
     *(f"cellapp.commands.{verb}" for verb in ALL),
     *(f"cellapp.commands.{verb}.run" for verb in ("run", "report")),
     "cellapp.interfaces.page.page",
-    "cellapp.commands.plan.charts",
-    "cellapp.cell.planning.view",
     "cellapp.commands.docs.handbook",
     "cellapp.interfaces.tui.dialogs.handbook",
 )
