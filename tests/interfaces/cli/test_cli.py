@@ -316,28 +316,15 @@ def test_a_transcript_says_what_was_approved(
     assert_approved(path, text, str if exact else bare)
 
 
-def write_csv(work: Path, rows: list[dict[str, str]]) -> None:
-    with (work / "bad.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
-
-
-def rows_of(path: Path) -> list[dict[str, str]]:
-    with path.open(newline="") as file:
-        return list(csv.DictReader(file))
-
-
-@pytest.fixture
-def table(work: Path, call: Any) -> list[dict[str, str]]:
-    assert call("export", "collected", "--csv", "good.csv").code == 0
-    return rows_of(work / "good.csv")
-
-
-def test_fewer_readings_than_parameters(work: Path, call: Any, table: list[dict[str, str]]) -> None:
+def test_fewer_readings_than_parameters(work: Path, call: Any) -> None:
     """Priors complete what the readings do not determine: 18 coordinates improve the nominal geometry, pairs wait."""
-    rows = [{**row, "split": "identify" if int(row["configuration"]) < 6 else "validate"} for row in table[:20]]
-    write_csv(work, rows)
+    assert call("export", "collected", "--csv", "good.csv").code == 0
+    with (work / "good.csv").open(newline="") as good, (work / "bad.csv").open("w", newline="") as bad:
+        rows = list(csv.DictReader(good))[:20]
+        writer = csv.DictWriter(bad, [*rows[0], "split"])
+        writer.writeheader()
+        for row in rows:
+            writer.writerow({**row, "split": "identify" if int(row["configuration"]) < 6 else "validate"})
     assert call("import", "twin.yaml", "bad.csv", "--run", "few").code == 0
     ended = call("calibrate", "few", "--json", "-")
     assert ended.code == 0
