@@ -182,18 +182,24 @@ def write_own_data(own: InitRequest, choose: Choose = nobody, outputs: Outputs =
     """
     assert own.readings is not None
     folder, looked = own.folder, read_recorded(own.readings, own.column, choose, most=_LOOKED_AT)
+    name = own.name or own.readings.stem.lower().replace(" ", "-")
+    profile, readings = folder / FOLDER / f"{name}.yaml", folder / READINGS / f"{name}.csv"
     rows, ground = _rows_are(own, looked, choose)
     types = _types(own, len(looked.joints))
     if rows == "motion":
-        return _for_recordings(own, own.readings, looked, types, outputs)
+        if not own.arm:
+            words = ", ".join(one.name for one in types)
+            raise InputError(
+                f"{own.readings}: joint positions of a motion; which arm? Give --arm NAME ({words}), the file of an arm"
+                " type, or one of D-H rows"
+            )
+        return _for_recordings(own.readings, profile, looked, types[0], outputs)
     recorded = read_recorded(own.readings, looked.taken, choose)
     angles, lengths = _decided_units(own, recorded, types, choose)
     q, p_M = recorded.of_one_point(angles, lengths)
     names = recorded.smrs
     arm_type = _decided_type(own, types, q, p_M, choose)
-    name = own.name or own.readings.stem.lower().replace(" ", "-")
     arms = recorded.arms or (ARM,)
-    profile, readings = folder / FOLDER / f"{name}.yaml", folder / READINGS / f"{name}.csv"
     header, cells = converted(recorded, angles, lengths, ARM, _clock_of_stops(recorded))
     files = {
         folder / FOLDER / arm_type.file: arm_type.text,
@@ -253,24 +259,13 @@ def _clock_of_stops(recorded: Recorded) -> float | None:
     return next((unit for unit in UNITS_OF_TIME.values() if _STOPS_S[0] <= step * unit <= _STOPS_S[1]), None)
 
 
-def _for_recordings(
-    own: InitRequest, joints: Path, recorded: Recorded, types: list[_Type], outputs: Outputs
-) -> InitResult:
-    """Write the profile and arm type for recordings of motion; this file has the joints."""
-    if not own.arm:
-        words = ", ".join(one.name for one in types)
-        raise InputError(
-            f"{joints}: joint positions of a motion; which arm? Give --arm NAME ({words}), the file of an arm"
-            " type, or one of D-H rows"
-        )
-    name = own.name or joints.stem.lower().replace(" ", "-")
-    folder = own.folder
-    profile = folder / FOLDER / f"{name}.yaml"
-    text = _profile_text(name, recorded.arms or (ARM,), types[0].file, 100, Path("READINGS.csv"), profile)
+def _for_recordings(joints: Path, profile: Path, recorded: Recorded, arm: _Type, outputs: Outputs) -> InitResult:
+    """Write the profile and arm type for recordings of motion; ``joints`` has the joint positions."""
+    text = _profile_text(profile.stem, recorded.arms or (ARM,), arm.file, 100, Path("READINGS.csv"), profile)
     points = joints if recorded.points else _points_beside(joints)
     streams = f"--joints {shell_word(joints)} --points {shell_word(points or 'FILE')}"
     head = f"# For recordings of motion: `cellapp import {shell_word(profile)} {streams} --run DIR`.\n"
-    write_new({folder / FOLDER / types[0].file: types[0].text, profile: head + text}, outputs)
+    write_new({profile.parent / arm.file: arm.text, profile: head + text}, outputs)
     where = (
         "the points of the tracker stand beside them"
         if recorded.points

@@ -106,17 +106,6 @@ class CommandJob:
         for line in lines:
             print(self._filled(line), file=sys.stderr, flush=True)
 
-    def show(self, tables: Sequence[Table]) -> None:
-        """Print tables on the same stream as ``say``."""
-        from rich.console import Console
-
-        from cellapp.interfaces.render.terminal import rich_table
-
-        self._stop_bars()
-        console = Console(stderr=self._json_file == "-")
-        for table in tables:
-            console.print(rich_table(table, cut=False), crop=False)
-
     def show_view(self, view: Parts, rest: str = "") -> None:
         """Print the tables and lines of a view in their order; on a terminal as much as fits, if ``rest`` names it."""
         parts: Iterable[Table | str] = printed(view, self._filled)
@@ -128,7 +117,16 @@ class CommandJob:
             if isinstance(part, str):
                 self.say(part)
             else:
-                self.show([part])
+                self._show(part)
+
+    def _show(self, table: Table) -> None:
+        """Print a table on the same stream as ``say``."""
+        from rich.console import Console
+
+        from cellapp.interfaces.render.terminal import TerminalTable
+
+        self._stop_bars()
+        Console(stderr=self._json_file == "-").print(TerminalTable(table, cut=False), crop=False)
 
     @property
     def writes_json(self) -> bool:
@@ -136,24 +134,20 @@ class CommandJob:
         return self._json_file is not None
 
     def result(self, result: Result) -> None:
-        """Write the result as JSON if ``--json`` was given."""
-        if self._json_file is not None:
-            self.write_json(result.to_json(indent=1))
-
-    def write_json(self, text: str) -> None:
-        """Write a JSON text to the destination of ``--json``, if given."""
+        """Write the result as JSON to the destination of ``--json``, if given."""
         if self._json_file is None:
             return
-        if self._json_file == "-":
-            try:
-                sys.stdout.write(text + "\n")
-                sys.stdout.flush()
-            except BrokenPipeError:
-                raise
-            except OSError as error:
-                raise InputError(f"--json: standard output cannot be written ({error.strerror})") from None
+        text = result.to_json(indent=1) + "\n"
+        if self._json_file != "-":
+            self.outputs.write_text(Path(self._json_file), text, "--json")
             return
-        self.outputs.write_text(Path(self._json_file), text + "\n", "--json")
+        try:
+            sys.stdout.write(text)
+            sys.stdout.flush()
+        except BrokenPipeError:
+            raise
+        except OSError as error:
+            raise InputError(f"--json: standard output cannot be written ({error.strerror})") from None
 
     def _react(self, number: int) -> None:
         """React to a signal, in the thread that watches the signals; brakes come before any message."""

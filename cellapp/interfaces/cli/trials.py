@@ -82,8 +82,7 @@ def judge(
 
     with CommandJob(json_file) as job:
         result = judge_trials(folder, _work(job, jobs, scheduler), again=again)
-        job.show(judge_tables(result))
-        job.say(*judge_sentences(result))
+        job.show_view((*judge_tables(result), *judge_sentences(result)))
         job.result(result)
         _refuse_failed(result.failed)
         if result.missed:
@@ -115,8 +114,8 @@ def power(
     with CommandJob(json_file) as job:
         work = _work(job, jobs, scheduler, results)
         result = detectability_at(where, trials, seed, work, TimeLimit.from_now(minutes))
-        job.show([detectability_table(name, arm) for name, arm in result.arms.items()])
-        job.say(detectability_sentence(result))
+        tables = (detectability_table(name, arm) for name, arm in result.arms.items())
+        job.show_view((*tables, detectability_sentence(result)))
         job.result(result)
         _refuse_failed(result.failed)
 

@@ -5,7 +5,7 @@ One path for each series: a few kilobytes and a millisecond per chart, where a p
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from html import escape
 
@@ -44,19 +44,15 @@ _MANY = 1000
 
 
 def chart_svg(chart: Chart) -> str:
-    """Return the chart as an ``svg`` element with colours of the style sheet."""
+    """Return the chart as an ``svg`` element with colours of the style sheet.
+
+    Screen readers skip it: the figure's caption and message describe it.
+    """
     x_axis, y_axis = _scales(chart)
-    parts = [*_frame(chart, x_axis, y_axis)]
-    for one in chart.series:
-        parts.append(_drawn(one, look_of(chart, one), x_axis, y_axis))
-    parts += [_limit(limit, x_axis, y_axis) for limit in chart.limits]
-    return svg_element(parts)
-
-
-def svg_element(parts: Iterable[str]) -> str:
-    """Return an ``svg`` element that screen readers skip: the figure's caption and message describe it."""
     head = f'<svg viewBox="0 0 {_SVG_WIDTH:g} {_HEIGHT:g}" font-size="{_FONT}" aria-hidden="true" focusable="false"'
-    return f'{head} fill="none" stroke="currentColor" stroke-width="1.4">{"".join(parts)}</svg>'
+    frame, limits = _frame(chart, x_axis, y_axis), (_limit(limit, x_axis, y_axis) for limit in chart.limits)
+    drawn = (_drawn(one, look_of(chart, one), x_axis, y_axis) for one in chart.series)
+    return f'{head} fill="none" stroke="currentColor" stroke-width="1.4">{"".join((*frame, *drawn, *limits))}</svg>'
 
 
 def in_colour(colour: str, body: str) -> str:

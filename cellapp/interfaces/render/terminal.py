@@ -35,21 +35,16 @@ _MOST_LINES = 40
 """Lines with which a command ends on a terminal, whose results are stored: about a screen."""
 
 
-def rich_table(table: Table, *, cut: bool = True) -> TerminalTable:
-    """Return a table for Rich's console. Cells are plain text: Rich would interpret a unit in brackets as markup.
+@dataclass(frozen=True)
+class TerminalTable:
+    """A table that Rich draws to fit the available width. Cells are plain text: Rich would take a unit for markup.
 
     ``cut``: the output device cuts lines at its width, as a screen does. Then a word longer than a line continues on
     the next one, and no line is left blank. Otherwise it stays whole, so that it can be copied.
     """
-    return TerminalTable(table, cut)
-
-
-@dataclass(frozen=True)
-class TerminalTable:
-    """A table that Rich draws to fit the available width."""
 
     table: Table
-    cut: bool
+    cut: bool = True
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         width = options.max_width
@@ -250,5 +245,5 @@ def plain_text(view: Parts, width: int = 100) -> str:
         if isinstance(part, str):
             text.write(f"{part}\n")
         else:
-            console.print(rich_table(part, cut=False), crop=False)
+            console.print(TerminalTable(part, cut=False), crop=False)
     return "\n".join(line.rstrip() for line in text.getvalue().splitlines()).strip("\n")

@@ -21,10 +21,10 @@ import contextlib
 import gc
 import importlib
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from rich.console import RenderableType
 from rich.text import Text
@@ -37,6 +37,7 @@ from textual.screen import Screen
 from textual.theme import Theme
 
 from cellapp.commands.docs.keys import KEYS, SHOWN
+from cellapp.commands.record import View
 from cellapp.commands.registry import ALL
 from cellapp.interfaces.tui import terminal
 from cellapp.interfaces.tui import verb_jobs as jobs_of_verbs
@@ -45,9 +46,9 @@ from cellapp.interfaces.tui.dialogs.program import MotionQuestion, Palette, poss
 from cellapp.interfaces.tui.dialogs.question import Reading
 from cellapp.interfaces.tui.host import Host, Severity, StopGiven
 from cellapp.interfaces.tui.job_outcome import UNEXPECTED, ending_of, left_behind
-from cellapp.interfaces.tui.jobs import JobEnded, MotionAsked
+from cellapp.interfaces.tui.jobs import Job, JobRunner
 from cellapp.interfaces.tui.keys import bind, key_table, with_keys
-from cellapp.interfaces.tui.leaving import ENDED, LEFT
+from cellapp.interfaces.tui.leaving import ENDED, LEFT, Leaving
 from cellapp.interfaces.tui.live_run import LOOK_EVERY_S, Detached, JobsOfOthers
 from cellapp.interfaces.tui.run_state import next_step
 from cellapp.interfaces.tui.screens import SCREENS
@@ -56,6 +57,9 @@ from cellapp.interfaces.tui.terminal import driver_that_stops
 from cellapp.interfaces.tui.widgets.arm_panel import LiveStrip
 from cellapp.interfaces.tui.widgets.controls import Line
 from cellapp.interfaces.tui.workspace import Step, Workspace, holds_run, last_run, load_workspace
+
+if TYPE_CHECKING:
+    from cellapp.ground.results import Result
 
 _RESUMES = f"{SHOWN['pause']} or {SHOWN['resume']}"
 _RESUME_WHEN_CLEAR = f"{SHOWN['resume']}: resume when the cell is clear"
@@ -126,14 +130,13 @@ class JobKeys(Host):
             self._refuse_motion()
             self.say("Aborting: all arms brake, the job ends." if arms else "Aborting at the next step.", "error")
 
-    @on(MotionAsked)
-    def ask_before_motion(self, message: MotionAsked) -> None:
+    def ask_before_motion(self, words: str, answer: Callable[[bool], None]) -> None:
         """Show the first motion and ask for the profile's name."""
         if self.jobs.control.request not in ("none", "pause"):
             return  # a person stopped the job before the question was shown: that is the answer
         profile = self.workspace.profile
         name = "move" if profile is None else profile.name
-        self.push_screen(MotionQuestion(message.words, name), lambda allowed: message.answer(bool(allowed)))
+        self.push_screen(MotionQuestion(words, name), lambda allowed: answer(bool(allowed)))
 
     def _refuse_motion(self) -> None:
         """Close the question before the first motion: a stop answers it."""
@@ -211,14 +214,10 @@ _TICK_S = 1.0
 _PRELOAD_AFTER_S = 0.3
 """Delay of the preload, so that the first screen is drawn before it."""
 _LATER = (
-    "cellapp.cell.run",
-    "cellapp.commands.report.data",
     *(f"cellapp.interfaces.tui.screens.{entry.step}" for entry in SCREENS),
     *(f"cellapp.commands.{verb}" for verb in ALL),
     *(f"cellapp.commands.{verb}.run" for verb in ("run", "report")),
     "cellapp.interfaces.page.page",
-    "cellapp.commands.plan.charts",
-    "cellapp.cell.planning.view",
     "cellapp.commands.docs.handbook",
     "cellapp.interfaces.tui.dialogs.handbook",
 )
@@ -267,7 +266,10 @@ class CellApp(JobKeys):
     def __init__(
         self, profiles: Path, logs: Path = Path("logs"), patience_s: float = 60.0, *, ends_process: bool = False
     ) -> None:
-        super().__init__(profiles, logs, patience_s, ends_process=ends_process)
+        # the job's thread and that of signals call by the queue of messages
+        jobs = JobRunner(partial(self.call_later, self.ask_before_motion), partial(self.call_later, self.show_end))
+        leaving = Leaving(jobs, partial(self.call_later, self.leave_at_once), patience_s, ends_process=ends_process)
+        super().__init__(profiles, logs, jobs, leaving)
         self.passes = SlowCollections()
         self.others = JobsOfOthers(self)
         self.message = ""
@@ -511,28 +513,27 @@ class CellApp(JobKeys):
         """After a question: plan, collect, calibrate, discover, push and verify in a new run."""
         offer_whole_day(self)
 
-    @on(JobEnded)
-    def show_end(self, message: JobEnded) -> None:
+    def show_end(self, job: Job, ending: Result | BaseException | None, view: View) -> None:
         """Say how the job ended, and read the run again."""
         for event in self.jobs.events():
             self.record.add(event)
         self.jobs.ended()
         self.record.end()
-        text, severity, self.jobs.code = ending_of(message, self.record.latest)
+        text, severity, self.jobs.code = ending_of(job, ending, view, self.record.latest)
         self._ended = True
         self.say(text, severity)
         self.bell()  # for somebody who does not look
         if self._leaving:  # the shell keeps the text that the screen can no longer show
             self.exit(return_code=self.jobs.code, message=Text(text))
             return
-        if not isinstance(message.ending, BaseException | None):
+        if not isinstance(ending, BaseException | None):
             shown = self.day_screen.show_result
             for show in dict.fromkeys((self.shows_result or shown, shown)):
-                show(message.ending, message.view)
-        if isinstance(message.ending, Detached):
+                show(ending, view)
+        if isinstance(ending, Detached):
             return  # something else is open now
-        folder = message.job.folder or self.workspace.folder
-        self.reading = f"What '{message.job.name}' has stored is being read."
+        folder = job.folder or self.workspace.folder
+        self.reading = f"What '{job.name}' has stored is being read."
         self._load(self.workspace.profile_path, folder if holds_run(folder) else self.workspace.folder)
         self.refresh_bindings()
         self.passes.look_again()  # nothing moves now
@@ -574,10 +575,11 @@ class CellApp(JobKeys):
         state = self.record.state
         for event in self.jobs.events(_MOST_TAKEN):
             self.record.add(event)
-        self.record.look(self.live())
+        live = self.jobs.control.live() if self.jobs.running else None
+        self.record.look(live)
         with contextlib.suppress(NoMatches, StopIteration):
             if (screen := self._made_screen) is not None:
-                screen.query_one(LiveStrip).look()
+                screen.query_one(LiveStrip).show(live, self.workspace.unseen)
         if self.record.changes == self._drawn:
             return
         self._drawn = self.record.changes

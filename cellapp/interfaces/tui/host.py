@@ -8,7 +8,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -25,7 +24,6 @@ from cellapp.interfaces.tui.workspace import Step, Workspace
 
 if TYPE_CHECKING:
     from cellapp.commands.record import View
-    from cellapp.ground.progress import CellLive
     from cellapp.ground.results import Result
 
 
@@ -54,6 +52,7 @@ class Host(App[None]):
         Folder whose ``*.yaml`` are offered; folder of the runs.
     shows_result : callable or None
         Draws the result of the current job, as the screen that started it, whichever screen is shown then.
+    jobs : JobRunner
     leaving : Leaving
     last_run : Path or None
         The run that was changed last when the application began.
@@ -63,15 +62,13 @@ class Host(App[None]):
         Sentence that the first profile, or the result of the last job, is being read; empty when it is read.
     """
 
-    def __init__(self, profiles: Path, logs: Path, patience_s: float, *, ends_process: bool) -> None:
+    def __init__(self, profiles: Path, logs: Path, jobs: JobRunner, leaving: Leaving) -> None:
         super().__init__()
         self.profiles, self.logs = profiles, logs
         self.workspace = Workspace()
         self.record = JobRecord()
-        self.jobs = JobRunner(self.post_message)
-        self.presses = StopPresses(self.jobs)
-        leave = partial(self.call_later, self.leave_at_once)
-        self.leaving = Leaving(self.jobs, leave, patience_s, ends_process=ends_process)
+        self.jobs, self.leaving = jobs, leaving
+        self.presses = StopPresses(jobs)
         self.shows_result: ShowsResult | None = None
         self.last_run: Path | None = None
         self.waits = self.reading = ""
@@ -113,10 +110,6 @@ class Host(App[None]):
         with self.suspend(), self.leaving.lent():
             yield
 
-    def live(self) -> CellLive | None:
-        """Return what is known now of the cell that the current job has open; None without one."""
-        return self.jobs.control.live() if self.jobs.running else None
-
     def open_profile(self, path: Path) -> None:
         """Open a profile without a run."""
         raise NotImplementedError
@@ -139,10 +132,6 @@ class Host(App[None]):
 
     def draw_all(self) -> None:
         """Redraw the whole screen."""
-        raise NotImplementedError
-
-    def leave_at_once(self) -> None:
-        """Quit as if the question had been answered with yes."""
         raise NotImplementedError
 
 

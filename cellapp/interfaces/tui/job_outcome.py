@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import traceback
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from cellapp.commands.record import View
 from cellapp.commands.run.request import VERB as RUN
 from cellapp.ground.control import Aborted
 from cellapp.ground.errors import CellappError, CheckFailed, HardwareError, InputError
 from cellapp.ground.outputs import RENEWED
 from cellapp.ground.progress import Cancelled, Progress
 from cellapp.interfaces.tui.host import Severity
-from cellapp.interfaces.tui.jobs import JobEnded
+from cellapp.interfaces.tui.jobs import Job
 from cellapp.interfaces.tui.keys import way_to
 from cellapp.interfaces.tui.leaving import STOPPED
 from cellapp.interfaces.tui.live_run import Detached
+
+if TYPE_CHECKING:
+    from cellapp.ground.results import Result
 
 ERROR_LOG = "error.log"
 REPORT_FILE = "report.html"
@@ -32,13 +37,13 @@ Ending = tuple[str, Severity, int]
 """End of a job: a sentence, its severity, and the exit code of the program if it quits then."""
 
 
-def ending_of(ended: JobEnded, last: Progress | None) -> Ending:
+def ending_of(job: Job, ending: Result | BaseException | None, view: View, last: Progress | None) -> Ending:
     """Return the end of a job in words; ``last`` is its newest event."""
-    folder, ending = ended.job.folder, ended.ending
+    folder = job.folder
     if not isinstance(ending, BaseException):
-        return _done(ended)
+        return _done(job, view)
     if isinstance(ending, Detached):
-        goes_on = f"'{ended.job.name}' goes on in process {ended.job.process}"
+        goes_on = f"'{job.name}' goes on in process {job.process}"
         return (f"{goes_on}. Open {folder} again to stop it.", "information", 0)
     resume = how_to_resume(last, folder)
     if isinstance(ending, Cancelled):
@@ -50,9 +55,8 @@ def ending_of(ended: JobEnded, last: Progress | None) -> Ending:
     return (_unexpected(ending, folder), "error", UNEXPECTED)
 
 
-def _done(ended: JobEnded) -> Ending:
+def _done(job: Job, view: View) -> Ending:
     """Return the end of a completed job; if a check did not hold, with the exit code of the command."""
-    job, view = ended.job, ended.view
     where = "" if job.folder is None else f"; the run is in {job.folder}"
     if job.process is not None:
         return (f"{job.name}: process {job.process} has ended it{where}.", "information", 0)

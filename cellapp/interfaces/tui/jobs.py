@@ -12,9 +12,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
-
-from textual.message import Message
+from typing import TYPE_CHECKING
 
 from cellapp.commands.record import Request, Verb, View
 from cellapp.ground.control import JobControl
@@ -27,7 +25,6 @@ Ask = Callable[[str], bool]
 """Function that shows a person the first motion in words and returns whether it is allowed."""
 JobWork = Callable[[JobControl, Ask], "Result | None"]
 """A verb with its inputs bound; it runs in the job's thread."""
-M = TypeVar("M", bound=Message)
 
 _MOST_WAITING = 2000
 """Length of the event queue; a faster job loses the oldest events here, the run file has all."""
@@ -70,29 +67,15 @@ class Job:
         return View() if self.verb is None else self.verb.view(result, self.request)
 
 
-class MotionAsked(Message):
-    """Question of the job before its first motion; ``answer`` receives the person's decision."""
-
-    def __init__(self, words: str, answer: Callable[[bool], None]) -> None:
-        super().__init__()
-        self.words, self.answer = words, answer
-
-
-class JobEnded(Message):
-    """End of the job's thread, with a result and its view or with an exception."""
-
-    def __init__(self, job: Job, ending: Result | BaseException | None, view: View | None = None) -> None:
-        super().__init__()
-        self.job, self.ending, self.view = job, ending, view or View()
-
-
 class JobRunner:
     """Runs one job at a time.
 
     Parameters
     ----------
-    post : callable
-        Passes messages from any thread to the screens.
+    asks : callable
+        Receives the question before the first motion, and what takes the person's decision; in the job's thread.
+    ends : callable
+        Receives the job at its end, its result or its exception, and the view of its result; in the job's thread.
 
     Attributes
     ----------
@@ -100,8 +83,12 @@ class JobRunner:
         Exit code of the last job.
     """
 
-    def __init__(self, post: Callable[[Message], object]) -> None:
-        self._post = post
+    def __init__(
+        self,
+        asks: Callable[[str, Callable[[bool], None]], object],
+        ends: Callable[[Job, Result | BaseException | None, View], object],
+    ) -> None:
+        self._asks, self._ends = asks, ends
         self._events: deque[Progress] = deque(maxlen=_MOST_WAITING)
         self._thread: threading.Thread | None = None
         self.control = JobControl(holds=True)
@@ -136,7 +123,7 @@ class JobRunner:
         self._thread.start()
 
     def ended(self) -> None:
-        """Note the end that ``JobEnded`` reported."""
+        """Note the end that was reported."""
         self.job = None
 
     def events(self, most: int | None = None) -> list[Progress]:
@@ -164,18 +151,18 @@ class JobRunner:
     def _run(self, job: Job, control: JobControl) -> None:
         def ask(words: str) -> bool:
             answers: queue.SimpleQueue[bool] = queue.SimpleQueue()
-            self._post(MotionAsked(words, answers.put))
+            self._asks(words, answers.put)
             while control.request in ("none", "pause"):
                 with contextlib.suppress(queue.Empty):
                     return answers.get(timeout=_ANSWER_S)
             return False
 
         ending: Result | BaseException | None
-        view = None
+        view = View()
         try:
             with control.heard_by(lambda event, before: self._events.append(event)):
                 ending = job.work(control, ask)
-                view = None if ending is None else job.view(ending)
+                view = view if ending is None else job.view(ending)
         except BaseException as error:  # noqa: BLE001 - the screens are told whatever ends the job
             ending = error
-        self._post(JobEnded(job, ending, view))
+        self._ends(job, ending, view)

@@ -91,7 +91,7 @@ class PressBench:
     def begin(self) -> None:
         """Open the first run of the folder and begin to collect."""
         terminal = self.terminal
-        for keys, words in (("", "ULATED"), ("8", "began (UTC)"), ("\r", "is open; next"), ("3", "READY")):
+        for keys, words in (("", "ULATED"), ("8", "not begun"), ("\r", "Next (n): collect"), ("3", "READY")):
             terminal.send(keys)
             terminal.until(partial(_contains, words), words)
             terminal.quiet(2.0 * _QUIET_S)

@@ -153,34 +153,6 @@ def test_doctor(work: Path, call: Any) -> None:
     assert "checks failed" in ended.err
 
 
-PATHS = """\
-schema: cellapp-paths
-version: 1
-paths:
-  - name: short
-    arm: left
-    poses:
-      - {position: [-0.15, -0.75, 0.55], rpy: ["90 deg", 0, 0]}
-      - {position: [-0.10, -0.75, 0.55]}
-    speed: 100 mm/s
-    tolerance: 0.3 mm
-"""
-
-
-def test_paths_are_compensated_written_and_shown(work: Path, call: Any) -> None:
-    (work / "paths.yaml").write_text(PATHS)
-    assert "'cellapp compensate collected " in call("show", "collected", "paths").err
-    planned = call("compensate", "done", "paths.yaml", "--out", "q.csv", "--json", "-").json
-    assert planned["schema"] == "cellapp-path"
-    assert (work / "q.csv").is_file()
-    assert call("compensate", "done", "paths.yaml", "--out", "q.txt").code == 2
-    assert "'cellapp compensate DIR PATHS --out FILE'" in call("follow", "done", "paths.yaml").err
-    shown = call("show", "done", "paths")
-    assert "off by the" in shown.out
-    assert call("report", "done").code == 0
-    assert "<h2>Paths</h2>" in (work / "done" / "report.html").read_text("utf-8")
-
-
 def test_the_whole_run_in_one_command(work: Path, call: Any) -> None:
     (work / "targets" / "twin.yaml").write_text(few_targets())
     ended = call("run", "twin.yaml", "--run", "all/of/it", "--json", "-")
@@ -306,8 +278,8 @@ def test_a_transcript_says_what_was_approved(
 ) -> None:
     """``cellapp WORDS``; ``does WORDS``, of which only the exit code is kept; ``refused WORDS`` and ``looks WORDS``,
     which fail or not, and change no byte; ``spoil WHAT``; ``log``; ``write FILE TEXT``; ``edit FILE OLD NEW``;
-    ``keys FILE``; ``same FILE FILE``. Below stands what is printed, marked if on standard error, and an exit code that
-    is not 0. Digits are compared where commands are refused.
+    ``keys FILE``; ``page HEADING``; ``same FILE FILE``. Below stands what is printed, marked if on standard error, and
+    an exit code that is not 0. Digits are compared where commands are refused.
     """
     monkeypatch.setenv("COLUMNS", "100")
     shown = []
@@ -328,6 +300,8 @@ def test_a_transcript_says_what_was_approved(
                 edit(work / words[0], words[1].replace("\\n", "\n"), words[2])
             case "keys":
                 shown += keys_of(json.loads((work / words[0]).read_text("utf-8")))
+            case "page":
+                assert f"<h2>{words[0]}</h2>" in (work / "done" / "report.html").read_text("utf-8")
             case "same":
                 assert (work / words[0]).read_bytes() == (work / words[1]).read_bytes()
             case _:
@@ -342,28 +316,15 @@ def test_a_transcript_says_what_was_approved(
     assert_approved(path, text, str if exact else bare)
 
 
-def write_csv(work: Path, rows: list[dict[str, str]]) -> None:
-    with (work / "bad.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
-
-
-def rows_of(path: Path) -> list[dict[str, str]]:
-    with path.open(newline="") as file:
-        return list(csv.DictReader(file))
-
-
-@pytest.fixture
-def table(work: Path, call: Any) -> list[dict[str, str]]:
-    assert call("export", "collected", "--csv", "good.csv").code == 0
-    return rows_of(work / "good.csv")
-
-
-def test_fewer_readings_than_parameters(work: Path, call: Any, table: list[dict[str, str]]) -> None:
+def test_fewer_readings_than_parameters(work: Path, call: Any) -> None:
     """Priors complete what the readings do not determine: 18 coordinates improve the nominal geometry, pairs wait."""
-    rows = [{**row, "split": "identify" if int(row["configuration"]) < 6 else "validate"} for row in table[:20]]
-    write_csv(work, rows)
+    assert call("export", "collected", "--csv", "good.csv").code == 0
+    with (work / "good.csv").open(newline="") as good, (work / "bad.csv").open("w", newline="") as bad:
+        rows = list(csv.DictReader(good))[:20]
+        writer = csv.DictWriter(bad, [*rows[0], "split"])
+        writer.writeheader()
+        for row in rows:
+            writer.writerow({**row, "split": "identify" if int(row["configuration"]) < 6 else "validate"})
     assert call("import", "twin.yaml", "bad.csv", "--run", "few").code == 0
     ended = call("calibrate", "few", "--json", "-")
     assert ended.code == 0

@@ -13,7 +13,7 @@ from rich.console import Console
 from cellapp.commands.view.parts import Part, Section
 from cellapp.commands.view.table import Column, Interval, Table, number_column
 from cellapp.ground.counting import mm, plain
-from cellapp.interfaces.render.terminal import rich_table, shortened
+from cellapp.interfaces.render.terminal import TerminalTable, shortened
 
 TABLE = Table(
     "Errors [mm]",
@@ -41,7 +41,7 @@ def test_of_a_long_view_a_terminal_gets_the_sentences_what_fits_and_the_command_
 
 def drawn(table: Table, width: int) -> str:
     output = io.StringIO()
-    Console(file=output, width=width).print(rich_table(table, cut=False), crop=False)
+    Console(file=output, width=width).print(TerminalTable(table, cut=False), crop=False)
     return output.getvalue()
 
 

@@ -24,7 +24,6 @@ from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.first_run import Welcome
 from cellapp.interfaces.tui.dialogs.program import MotionQuestion
 from cellapp.interfaces.tui.dialogs.question import Choice
-from cellapp.interfaces.tui.jobs import MotionAsked
 from cellapp.interfaces.tui.screens.cell import CellScreen
 from cellapp.interfaces.tui.workspace import Workspace, load_workspace
 from drivers.findings import DeviceReport, Finding
@@ -139,7 +138,7 @@ async def test_a_question_that_a_stop_has_answered_is_not_asked() -> None:
         app.start_job(moving.job())
         await asyncio.to_thread(moving.began.wait, WAIT_S)
         await pilot.press("escape")
-        app.ask_before_motion(MotionAsked("the first motion", answers.append))
+        app.ask_before_motion("the first motion", answers.append)
         assert not isinstance(app.screen, MotionQuestion)
         await pilot.press("x")
         await ended(pilot, app)

@@ -132,7 +132,7 @@ async def test_faults_while_collecting_are_shown_in_words_and_recovered_by_keys(
         await pilot.press("8")
         await says(pilot, app, "day", f"stops 0/{STOPS} not begun; no results")
         await pilot.press("enter")
-        await says(pilot, app, "logs/day is open; next: Collect (key n)")
+        await says(pilot, app, "logs/day is open.")
         await pilot.press("n")
         await says(pilot, app, f"READY, {STOPS} stops", "b measures")
         await pilot.press("b")
@@ -175,7 +175,7 @@ def test_a_closed_terminal_stops_the_arms_and_the_next_start_goes_on_with_the_ru
         terminal.send("8")
         shows(terminal, f"stops 0/{STOPS} not begun; no results")  # the tab Today shows 0/n, too
         terminal.send("\r")
-        shows(terminal, "next: Collect")
+        shows(terminal, "logs/day is open.")
         terminal.send("n")
         shows(terminal, f"READY, {STOPS} stops")
         terminal.send("b")
@@ -191,7 +191,7 @@ def test_a_closed_terminal_stops_the_arms_and_the_next_start_goes_on_with_the_ru
     with cellapp(day, PATIENT) as terminal:
         shows(terminal, f"a goes on with the last run, logs/day: {STOPS - done} stops left")
         terminal.send("a")
-        shows(terminal, "next: Collect")
+        shows(terminal, "logs/day is open.")
         terminal.send("n")
         shows(terminal, f"INTERRUPTED, {done} of {STOPS} stops", "b measures")
         cell.control("*", "pace", UNDISTURBED_PACE)

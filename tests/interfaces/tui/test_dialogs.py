@@ -17,7 +17,7 @@ from cellapp.cell.targets.records import ArmVerification, MeasuredTarget, Verify
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.compensate.request import VERB as COMPENSATE
 from cellapp.commands.compensate.request import CompensateRequest
-from cellapp.commands.record import Request
+from cellapp.commands.record import Request, View
 from cellapp.commands.run.request import VERB as WHOLE_DAY
 from cellapp.commands.run.result import WholeRunResult
 from cellapp.commands.run_results import read_results
@@ -26,7 +26,7 @@ from cellapp.interfaces.tui import verb_jobs
 from cellapp.interfaces.tui.dialogs.question import WRITE
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.job_outcome import REPORT_FILE, ending_of
-from cellapp.interfaces.tui.jobs import Job, JobEnded
+from cellapp.interfaces.tui.jobs import Job
 from tests.handbook.screen_pictures import settle
 from tests.interfaces.tui.pilot import PROFILES, ended, running, shown_text, until
 from tests.sure import sure
@@ -124,7 +124,7 @@ WORSE = VerifyResult(arms={"left": ArmVerification(nominal_mm=SMALL_MM, compensa
 
 
 def ending_words(job: Job, result: Result | None) -> tuple[str, int]:
-    text, _, code = ending_of(JobEnded(job, result, None if result is None else job.view(result)), None)
+    text, _, code = ending_of(job, result, View() if result is None else job.view(result), None)
     return text, code
 
 

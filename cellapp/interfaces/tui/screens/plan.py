@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from cellapp.cell.planning.records import PlanCheckResult, PlanForecastResult
     from cellapp.commands.plan.result import PlannedStop
     from cellapp.commands.record import View
+    from cellapp.commands.view.parts import Parts
     from cellapp.ground.results import Result
 
 
@@ -181,7 +182,7 @@ class PlanScreen(DayScreen):
         from cellapp.commands.plan.check_view import check_sentences, forecast_sentences, forecast_tables
 
         forecast, check = self._forecast, self._check
-        parts = () if forecast is None else (*forecast_sentences(forecast), *forecast_tables(forecast))
+        parts: Parts = () if forecast is None else (*forecast_sentences(forecast), *forecast_tables(forecast))
         self.query_one("#forecast", PartsView).show(parts)
         refusals = [] if check is None else check_sentences(check)
         self.query_one("#refusals", PartsView).show(refusals)

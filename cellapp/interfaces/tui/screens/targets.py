@@ -178,7 +178,9 @@ class TargetsScreen(DayScreen):
     @on(DataTable.RowSelected, "#grid")
     def show_details(self) -> None:
         """Show all that is known of the target under the cursor."""
-        self._show_tab("target")
+        tabs = self.query_one("#targets", TabbedContent)
+        tabs.active = "target"
+        tabs.query_one(Tabs).focus()  # the list, which has the focus, would bring its tab back
 
     def action_attention(self) -> None:
         """Show only targets that are refused, out of tolerance, undecided or not measured; the second time, all."""
@@ -253,13 +255,6 @@ class TargetsScreen(DayScreen):
 
         title = f"A program of a UR controller ({', '.join(PROGRAMS)})"
         self.app.push_screen(FilePicker(title, Path.cwd(), lambda path: path.suffix in PROGRAMS), ask)
-
-    # -- tabs ----------------------------------------------------------------------------------------------------------
-
-    def _show_tab(self, name: str) -> None:
-        tabs = self.query_one("#targets", TabbedContent)
-        tabs.active = name
-        tabs.query_one(Tabs).focus()  # the list, which has the focus, would bring its tab back
 
     # -- drawing -------------------------------------------------------------------------------------------------------
 

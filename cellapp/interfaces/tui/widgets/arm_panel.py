@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import cast
 
 from textual.app import ComposeResult
 from textual.containers import Vertical
@@ -16,7 +15,6 @@ from textual.reactive import reactive
 from textual.widget import Widget
 
 from cellapp.ground.progress import CellLive
-from cellapp.interfaces.tui.host import Host
 from cellapp.interfaces.tui.job_record import HALT_WORDS, Activity, ArmRecord, Look, TrackerRecord, banner_of, strip_of
 from cellapp.interfaces.tui.widgets.controls import Line
 
@@ -126,18 +124,13 @@ _STRIP_STYLES: Mapping[Look, str] = {
 class LiveStrip(Vertical):
     """Ages in one line while a cell is open; above them, in red, a stop or an arm that counts as moving.
 
-    The application asks it to look ten times a second, so that neither a job that hangs nor a missing event leaves it
+    The application draws it ten times a second, so that neither a job that hangs nor a missing event leaves it
     out of date.
     """
 
     def compose(self) -> ComposeResult:
         yield Line(classes="banner")
         yield Line(classes="ages")
-
-    def look(self) -> None:
-        """Query the current state, and draw what has changed."""
-        app = cast(Host, self.app)
-        self.show(app.live(), app.workspace.unseen)
 
     def show(self, live: CellLive | None, unseen: Mapping[str, str]) -> None:
         """Draw the state, and the arms that the run counts as moving, arm -> why."""

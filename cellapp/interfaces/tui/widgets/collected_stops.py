@@ -32,11 +32,10 @@ class CollectedStops(Vertical):
 
     def __init__(self, *, id: str) -> None:
         super().__init__(id=id)
-        self._stops: tuple[CollectedStop, ...] = ()
+        self._state: CollectionResult | None = None
         self._shown: list[CollectedStop] = []
-        self._range, self._empty = "", ""
+        self._empty = ""
         self._only_suspicious = False
-        self._run = ""
         self._marked: dict[int, int] = {}  # stop -> how many of its readings were replaced when it was marked
 
     def compose(self) -> ComposeResult:
@@ -60,15 +59,14 @@ class CollectedStops(Vertical):
 
     def show(self, state: CollectionResult | None) -> None:
         """Draw the stops of a run; None if there is no collection."""
-        stops = () if state is None else state.stops
-        if stops == self._stops and state is not None and residual_range_words(state) == self._range:
+        if state is not None and state == self._state:
             return
-        self._stops, self._range = stops, "" if state is None else residual_range_words(state)
-        if self.chosen not in stops:
+        same_run = state is not None and self._state is not None and state.run == self._state.run
+        self._state = state
+        if self.chosen not in self._stops:
             self.chosen = None
-        run = "" if state is None else state.run
-        self._marked = {stop: n for stop, n in self._marked.items() if run == self._run and n == self._replaced(stop)}
-        self._run = run
+        marked = self._marked if same_run else {}
+        self._marked = {stop: count for stop, count in marked.items() if count == self._replaced(stop)}
         self._draw()
 
     def say_empty(self, sentence: str) -> None:
@@ -93,6 +91,10 @@ class CollectedStops(Vertical):
         if event.cursor_row < len(self._shown):
             self.chosen = self._shown[event.cursor_row]
 
+    @property
+    def _stops(self) -> tuple[CollectedStop, ...]:
+        return () if self._state is None else self._state.stops
+
     def _replaced(self, stop: int) -> int:
         """Return how many readings of a stop were replaced; the number grows when it is measured again."""
         return sum(one.again for one in self._stops if one.stop == stop)
@@ -114,9 +116,9 @@ class CollectedStops(Vertical):
     def _say(self) -> None:
         """Show the normal range and the number of shown stops, or why there are none."""
         words = self._empty
-        if self._stops:
+        if self._state is not None and self._stops:
             count = f"{len(self._shown)} of {len(self._stops)}, suspicious only" if self._only_suspicious else ""
             shown = count and f"Shown: {count} ({SHOWN['filter']}: all)."
             marked = f"{counted(len(self._marked), 'stop is', 'stops are')} marked: {SHOWN['again']} measures again."
-            words = " ".join(filter(None, (self._range, shown, marked if self._marked else "")))
+            words = " ".join(filter(None, (residual_range_words(self._state), shown, marked if self._marked else "")))
         self.query_one(Static).update(words)

@@ -87,7 +87,7 @@ def words_first(parts: Parts) -> list[Part]:
 def widgets_of(parts: Parts) -> Iterator[Widget]:
     """Yield the widgets of parts in reading order on a screen; all charts of a section where its first one is."""
     from cellapp.commands.view.charts import Chart  # late: tables and charts are shown after the start
-    from cellapp.interfaces.render.terminal import rich_table
+    from cellapp.interfaces.render.terminal import TerminalTable
 
     charts = [part for part in parts if isinstance(part, Chart)]
     for part in parts:
@@ -95,7 +95,7 @@ def widgets_of(parts: Parts) -> Iterator[Widget]:
             if part is charts[0]:
                 yield ItemGrid(*map(ScrolledPlot, charts), min_column_width=LEAST_COLUMNS)
         elif isinstance(part, Table):
-            yield Static(rich_table(part.with_texts(with_keys)), classes="table")
+            yield Static(TerminalTable(part.with_texts(with_keys)), classes="table")
         elif isinstance(part, Facts):
             yield Static("\n".join(map(str, printed((part,)))), markup=False)
         elif isinstance(part, Section):
