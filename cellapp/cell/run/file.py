@@ -40,7 +40,6 @@ from cellapp.cell.run.sqlite_file import (
     check_header,
     check_integrity,
     connect,
-    damage_as_sentence,
     insert_document,
     insert_outcome,
     make_empty_folder,
@@ -301,10 +300,9 @@ class RunFile:
             check_header(folder, path)
             connection = connect(path, "ro") if checked else connect(path, "ro", wait_s=0.0)
             try:
-                with damage_as_sentence(path):
-                    if checked:
-                        check_integrity(path, connection)
-                    profile = read_profile(path, connection)
+                if checked:
+                    check_integrity(path, connection)
+                profile = read_profile(path, connection)
                 if write:
                     try_folder(folder)  # results stand beside the run file, and so does its journal
                     connection.close()
