@@ -165,7 +165,36 @@ def csv_rows(path: Path, what: str, row: str) -> Iterator[tuple[int, list[str]]]
         If it cannot be read, is not CSV in UTF-8, is empty, or a row differs in length from the header.
     """
     with opened_text(path, what) as file:
-        yield from _parse(path, file, row)
+        reader = csv.reader(file, strict=True)
+        filled = ((reader.line_num, cells) for cells in reader if any(cells))
+        try:
+            line, header = next(filled, (0, list[str]()))
+            names = _named([name.strip() for name in header])
+            if not header:
+                raise InputError(f"{path} is empty; expected a header row and {row}")
+            if len(names) == 1 and re.search(r"[;\t|]", names[0]):
+                raise InputError(
+                    f"{path}:{line}: the header is one column; separate columns by commas, and write 0.5, not 0,5"
+                )
+            yield line, names
+            for line, cells in filled:
+                if len(cells) == len(names) or not cells[0].lstrip().startswith(COMMENTS):
+                    yield line, _as_wide(f"{path}:{line}", cells, names, len(header))
+        except csv.Error as error:
+            raise InputError(f"{path}:{reader.line_num}: not CSV: {error}; correct the line") from None
+
+
+def _as_wide(place: str, cells: list[str], names: Sequence[str], columns: int) -> list[str]:
+    """Return the cells of a row below ``names`` of the first ``columns``. Raise ``InputError`` if it is not as wide."""
+    count = len(cells)
+    unnamed = [number for number, cell in enumerate(cells, start=1) if number > len(names) and cell]
+    if count == columns and unnamed:
+        raise InputError(f"{place}: column {unnamed[0]}: has no name; name it or remove it")
+    if count not in (len(names), columns):
+        column = names[count] if count < len(names) else f"column {len(names) + 1}"
+        hint = "; write 0.5, not 0,5, and texts with commas in quotes" if count > len(names) else ""
+        raise InputError(f"{place}: {column}: the row has {count} cells, the header has {len(names)}{hint}")
+    return cells[: len(names)]
 
 
 @contextmanager
@@ -203,42 +232,6 @@ def check_names(names: Sequence[str], place: str) -> None:
 def _named(names: Sequence[str]) -> list[str]:
     """Leave out the last columns without a name, as spreadsheets write them."""
     return [name for place, name in enumerate(names) if any(names[place:])]
-
-
-def _parse(path: Path, file: Iterable[str], expected: str) -> Iterator[tuple[int, list[str]]]:
-    reader = csv.reader(file, strict=True)
-    names: list[str] | None = None
-    line = spare = 0
-    try:
-        for row in reader:
-            line = reader.line_num
-            if not any(row):
-                continue
-            if names is None:
-                names = row = [name.strip() for name in row]
-                spare = len(names) - len(_named(names))
-                names = row = _named(names)
-                if len(names) == 1 and re.search(r"[;\t|]", names[0]):
-                    raise InputError(
-                        f"{path}:{line}: the header is one column; separate columns by commas, and write 0.5, not 0,5"
-                    )
-            elif len(row) != len(names) and row[0].lstrip().startswith(COMMENTS):
-                continue
-            elif spare and len(row) == len(names) + spare:
-                if filled := next((place for place, cell in enumerate(row, 1) if place > len(names) and cell), 0):
-                    raise InputError(f"{path}:1: column {filled}: has no name; name it or remove it")
-                row = row[: len(names)]
-            elif len(row) != len(names):
-                column = names[len(row)] if len(row) < len(names) else f"column {len(names) + 1}"
-                hint = "; write 0.5, not 0,5, and texts with commas in quotes" if len(row) > len(names) else ""
-                raise InputError(
-                    f"{path}:{line}: {column}: the row has {len(row)} cells, the header has {len(names)}{hint}"
-                )
-            yield line, row
-    except csv.Error as error:
-        raise InputError(f"{path}:{line + 1}: not CSV: {error}; correct the line") from None
-    if names is None:
-        raise InputError(f"{path} is empty; expected a header row and {expected}")
 
 
 _DECIMAL_COMMA = re.compile(r"[+-]?[0-9]*,[0-9]+(?:[eE][+-]?[0-9]+)?")
