@@ -16,7 +16,6 @@ import io
 import itertools
 import math
 import re
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -339,18 +338,15 @@ def read_header(path: Path, what: str, example: str) -> CsvFile:
             )
     found = _written(path, what, lines, example)
     if found is None:
-        line, names = next(csv_rows(path, what, ROW))
-        found = CsvFile(path, what, line, tuple(names))
-    found = replace(found, encoding=encoding)
-    if len(found.names) > 2 and not found.names[0]:
-        found = replace(found, names=(_INDEX, *found.names[1:]))
-    names, seen = list[str](), Counter[str]()
-    for name in found.names:
-        seen[name] += 1
-        names.append(f"{name} ({seen[name]})" if name and seen[name] > 1 else name)
-    found = replace(found, names=tuple(names))
-    check_names(found.names, f"{path}:{found.head}")
-    return found
+        line, header = next(csv_rows(path, what, ROW))
+        found = CsvFile(path, what, line, tuple(header))
+    names = [*found.names]
+    if len(names) > 2 and not names[0]:
+        names[0] = _INDEX
+    count = [names[: place + 1].count(name) for place, name in enumerate(names)]
+    names = [f"{name} ({n})" if name and n > 1 else name for name, n in zip(names, count, strict=True)]
+    check_names(names, f"{path}:{found.head}")
+    return replace(found, names=tuple(names), encoding=encoding)
 
 
 def _encoding(path: Path, what: str) -> str:
