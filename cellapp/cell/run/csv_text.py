@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO, TypeGuard
 
 from cellapp.estimation.readings.columns import CONFIGURATION
+from cellapp.ground.counting import first_few
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs
 
@@ -37,8 +38,6 @@ NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 """Pattern of a decimal number; ``float`` would accept more (nan, 1_000)."""
 COMMENTS = ("#", "%", "//")
 """Beginnings of lines that are comments."""
-_SHOWN = 5
-"""Problems per message: enough to see a pattern, few enough to read."""
 _LONGEST_SHOWN = 40
 """Number of characters of a wrong cell that a message shows."""
 _FORMULA = ("=", "+", "-", "@")
@@ -99,8 +98,7 @@ class Problems:
         """Raise ``InputError`` with the first problems if there are any."""
         if self.found:
             texts = [self.found[where] for where in sorted(self.found, key=lambda where: where[0])]
-            more = [f"and {len(texts) - _SHOWN} more"] if len(texts) > _SHOWN else []
-            raise InputError("\n".join(texts[:_SHOWN] + more))
+            raise InputError("\n".join(first_few(texts, "and {} more")))
 
 
 def short(text: str, longest: int = _LONGEST_SHOWN) -> str:
