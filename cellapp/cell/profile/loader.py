@@ -463,7 +463,6 @@ def _mapping(
     node: yaml.MappingNode, at: KeyPath, place: Spot, places: dict[KeyPath, Spot], loader: _Loader
 ) -> dict[str, Any]:
     result: dict[str, Any] = {}
-    lines: dict[str, int] = {}
     for key_node, value_node in node.value:
         key = key_node.value if isinstance(key_node, yaml.ScalarNode) else None
         if key is None or key_node.tag != "tag:yaml.org,2002:str":
@@ -473,8 +472,7 @@ def _mapping(
             )
         here = Spot(place.file, _line(key_node), (*place.inside, key))
         if key in result:
-            raise InputError(f"{here}: duplicate key (first in line {lines[key]}); keep one")
-        lines[key] = here.line
+            raise InputError(f"{here}: duplicate key (first in line {places[*at, key].line}); keep one")
         result[key] = _plain_data(value_node, (*at, key), here, places, loader)
     return result
 

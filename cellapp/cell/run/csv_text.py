@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, Any, TextIO, TypeGuard
 from cellapp.estimation.readings.columns import CONFIGURATION
 from cellapp.ground.counting import first_few
 from cellapp.ground.errors import InputError
+from cellapp.ground.file_text import readable
 from cellapp.ground.outputs import NEW_ONLY, Outputs
 
 if TYPE_CHECKING:
@@ -198,12 +199,8 @@ def _as_wide(place: str, cells: list[str], names: Sequence[str], columns: int) -
 def opened_text(path: Path, what: str, encoding: str = "utf-8-sig") -> Iterator[TextIO]:
     """Open a file of ``what`` as a context manager. Raise ``InputError`` if it cannot be read, or is not UTF-8."""
     try:
-        with path.open(encoding=encoding, newline="") as file:
+        with readable(path, f"give a CSV file of {what}"), path.open(encoding=encoding, newline="") as file:
             yield file
-    except FileNotFoundError:
-        raise InputError(f"{path}: file not found; give a CSV file of {what}") from None
-    except OSError as error:
-        raise InputError(f"{path} cannot be read: {error.strerror}; give a CSV file of {what}") from None
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: not UTF-8 text ({error.reason}); save the file as CSV in UTF-8") from None
 
