@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from decimal import Decimal
 
 from cellapp.ground.errors import InputError
@@ -16,6 +16,11 @@ _NUMBERS = re.compile(r"([0-9]{1,6})(?:-([0-9]{1,6}))?")
 def counted(count: int, one: str, many: str = "") -> str:
     """``1 stop``, ``3 stops``; ``many`` is the plural where it is not ``one`` with an s, as "stops are"."""
     return f"{count} {one if count == 1 else many or f'{one}s'}"
+
+
+def first_few(texts: Sequence[str], more: str = "{} more", most: int = 5) -> list[str]:
+    """The first of many texts, enough to see a pattern and few enough to read, and how many ``more`` there are."""
+    return [*texts[:most], *([more.format(len(texts) - most)] if len(texts) > most else [])]
 
 
 def mm(value: float) -> str:

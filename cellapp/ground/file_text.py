@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from cellapp.ground.errors import InputError
 
 
-def file_text(path: Path, advice: str) -> str:
-    """Return the text of a file. Raise ``InputError`` with an ``advice`` if it cannot be read, or is not UTF-8."""
+@contextmanager
+def readable(path: Path | str, advice: str) -> Iterator[None]:
+    """Raise ``InputError`` with an ``advice`` if a file that is opened in this context cannot be read."""
     try:
-        raw = path.read_bytes()
+        yield
     except FileNotFoundError:
         raise InputError(f"{path}: file not found; {advice}") from None
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); {advice}") from None
+
+
+def file_text(path: Path, advice: str) -> str:
+    """Return the text of a file. Raise ``InputError`` with an ``advice`` if it cannot be read, or is not UTF-8."""
+    with readable(path, advice):
+        raw = path.read_bytes()
     try:
         return raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:

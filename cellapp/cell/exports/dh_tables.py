@@ -13,7 +13,7 @@ from cellapp.cell.exports.arm_export import ArmExport, hashed
 from cellapp.cell.exports.export_format import ExportFormat, smr_in_plain_flange
 from cellapp.cell.run.csv_text import table_text
 from cellapp.robot.kinematics.chain import ROW_NAMES, Geometry, frame_poses, parameter_unit, plain_geometry
-from cellapp.robot.kinematics.transforms import Array, transform
+from cellapp.robot.kinematics.transforms import transform
 from cellapp.robot.model import ArmModel
 
 _CHAIN = "T_M_S = T_M_B A_1 ... A_N trans(tool); A_i = rot_z(q_i + theta) trans(a, 0, d) rot_x(alpha)"
@@ -62,7 +62,7 @@ def poe(export: ArmExport, sentences: Sequence[str]) -> str:
     screws = [{"omega": omega, "v": v} for omega, v in zip(axes.tolist(), np.cross(points, axes).tolist(), strict=True)]
     content = {
         "screws": screws,
-        "T_B_F_at_zero": matrix_rows(transform(rotations[-1, 0], origins[-1, 0])),
+        "T_B_F_at_zero": transform(rotations[-1, 0], origins[-1, 0]).tolist(),
         "tool": own.tool.tolist(),
     }
     return yaml_table(content, export.geometry, [*sentences, _POE_CHAIN])
@@ -76,14 +76,8 @@ POE = ExportFormat("poe", "screw axes and home pose (YAML)", ".yaml", poe)
 
 def yaml_table(content: Mapping[str, object], geometry: Geometry, sentences: Sequence[str]) -> str:
     """Return the YAML text, with floats in their shortest exact form."""
-    content = {"units": "m, rad", "T_M_B": matrix_rows(geometry.T_M_B()), **content}
+    content = {"units": "m, rad", "T_M_B": geometry.T_M_B().tolist(), **content}
     return hashed(sentences) + yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=200)
-
-
-def matrix_rows(T: Array) -> list[list[float]]:
-    """Return a matrix as a list of rows."""
-    rows: list[list[float]] = T.tolist()
-    return rows
 
 
 # ---------------------------------------------------------------------------------------------------------------------

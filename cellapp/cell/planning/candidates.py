@@ -21,8 +21,7 @@ from cellapp.cell.safety.bodies import (
     Sight,
     TrackerField,
     beam_clearance,
-    ceiling_clearance,
-    floor_clearance,
+    height_clearance,
     mounted_hides,
     place,
     self_clearance,
@@ -240,8 +239,8 @@ def body_margins(cell: CellBodies, field: TrackerField, name: str) -> Mapping[st
     """
     tracker, arm = field.T_C_M[:3, 3], cell.arms[name]
     margins: dict[str, Callable[[Placed], Array]] = {
-        FLOOR: lambda placed: floor_clearance(placed, cell.floor) - cell.clearance,
-        CEILING: lambda placed: ceiling_clearance(placed, cell.ceiling) - cell.clearance,
+        FLOOR: lambda placed: height_clearance(placed, floor=cell.floor) - cell.clearance,
+        CEILING: lambda placed: height_clearance(placed, ceiling=cell.ceiling) - cell.clearance,
         OWN_BEAM: lambda placed: beam_clearance(tracker, placed.smr, placed, own=True) - BEAM_RADIUS,
         OWN_BODIES: lambda placed: self_clearance(placed, cell.self_clearance) - cell.self_clearance,
     }

@@ -297,14 +297,8 @@ def _locate_meshes(document: YamlDocument, folders: Sequence[Path]) -> None:
         If none of them has it.
     """
     for at, obstacle in _with_text(document, "obstacles", "file"):
-        path = _first_file(folders, obstacle["file"])
-        if path is None:
-            raise PlacedError(
-                document.places[at],
-                f"file not found: {short(str(folders[0] / obstacle['file']), 200)}; give the path of an STL file"
-                " relative to the profile's file",
-            )
-        obstacle["file"] = str(path.resolve())
+        advice = "give the path of an STL file relative to the profile's file"
+        obstacle["file"] = str(_found_file(folders, obstacle["file"], document.places[at], advice).resolve())
 
 
 def profile_to_json(profile: Profile) -> str:
@@ -342,14 +336,11 @@ def _check_version(document: YamlDocument) -> None:
 
 def _read_arm_type(folders: Sequence[Path], name: str, place: Spot) -> YamlDocument:
     path = _first_file(folders, name) or ARM_TYPES.get(name)
-    if path is not None:
-        return _parse_yaml(_read_text(path), path)
-    raise PlacedError(
-        place,
-        ARM_TYPES.refusal(name)
-        or f"file not found: {short(str(folders[0] / name), 200)}; give a path relative to the profile's file, or the"
-        " keys here",
-    )
+    if path is None and (refusal := ARM_TYPES.refusal(name)):
+        raise PlacedError(place, refusal)
+    advice = "give a path relative to the profile's file, or the keys here"
+    path = path or _found_file(folders, name, place, advice)
+    return _parse_yaml(_read_text(path), path)
 
 
 _DESCRIBED = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
@@ -381,13 +372,11 @@ def _described(path: Path, arm_type: object) -> dict[str, object]:
 
 
 def _read_controller(folders: Sequence[Path], name: str, place: Spot, arm_type: object) -> dict[str, object]:
-    path = _first_file(folders, name)
-    if path is None:
-        raise PlacedError(
-            place,
-            f"file not found: {short(str(folders[0] / name), 200)}; give the calibration.conf of the controller,"
-            " relative to the profile's file: 'cellapp doctor PROFILE --controllers FOLDER' writes one",
-        )
+    advice = (
+        "give the calibration.conf of the controller, relative to the profile's file: 'cellapp doctor PROFILE"
+        " --controllers FOLDER' writes one"
+    )
+    path = _found_file(folders, name, place, advice)
     if path.suffix.lower() in (".yaml", ".yml"):
         return _described(path, arm_type)
     return controller_table(_read_text(path), path)
@@ -400,6 +389,13 @@ def _first_file(folders: Sequence[Path], name: str) -> Path | None:
             if path.is_file():
                 return path
     return None
+
+
+def _found_file(folders: Sequence[Path], name: str, place: Spot, advice: str) -> Path:
+    """Return ``_first_file``. Raise ``InputError`` with an ``advice`` if there is none."""
+    if (path := _first_file(folders, name)) is None:
+        raise PlacedError(place, f"file not found: {short(str(folders[0] / name), 200)}; {advice}")
+    return path
 
 
 # -- YAML with its lines ----------------------------------------------------------------------------------------------
@@ -467,7 +463,6 @@ def _mapping(
     node: yaml.MappingNode, at: KeyPath, place: Spot, places: dict[KeyPath, Spot], loader: _Loader
 ) -> dict[str, Any]:
     result: dict[str, Any] = {}
-    lines: dict[str, int] = {}
     for key_node, value_node in node.value:
         key = key_node.value if isinstance(key_node, yaml.ScalarNode) else None
         if key is None or key_node.tag != "tag:yaml.org,2002:str":
@@ -477,8 +472,7 @@ def _mapping(
             )
         here = Spot(place.file, _line(key_node), (*place.inside, key))
         if key in result:
-            raise InputError(f"{here}: duplicate key (first in line {lines[key]}); keep one")
-        lines[key] = here.line
+            raise InputError(f"{here}: duplicate key (first in line {places[*at, key].line}); keep one")
         result[key] = _plain_data(value_node, (*at, key), here, places, loader)
     return result
 

@@ -12,7 +12,7 @@ import yaml
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
-from cellapp.ground.counting import did_you_mean
+from cellapp.ground.counting import did_you_mean, first_few
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile.schema import Profile
 from cellapp.ground.removed import removed_key
@@ -21,8 +21,6 @@ from drivers.settings import OneOf, Section
 Key = str | int
 KeyPath = tuple[Key, ...]
 
-_MOST_SHOWN = 5
-"""Errors in one message; further ones often follow from these, so they are only counted."""
 _LONGEST = 600
 """Largest number of characters of one error; that of an unusable plug-in needs 500."""
 _MISSING = ": missing; it must be given"
@@ -122,9 +120,7 @@ def validation_message(error: ValidationError, document: YamlDocument) -> str:
     """Return one line for each error, in the order of the file; after the first few, their number."""
     located = [(document.places[at], texts) for at, texts in _found(error, document)]
     ordered = sorted(located, key=lambda entry: (entry[0].file, entry[0].line))
-    lines = [_sentence(place, texts) for place, texts in ordered]
-    more = [f"and {len(lines) - _MOST_SHOWN} more"] if len(lines) > _MOST_SHOWN else []
-    return "\n".join(lines[:_MOST_SHOWN] + more)
+    return "\n".join(first_few([_sentence(place, texts) for place, texts in ordered], "and {} more"))
 
 
 def value_message(details: ErrorDetails) -> str:

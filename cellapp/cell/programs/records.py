@@ -107,9 +107,6 @@ class ReadProgram:
     notes: tuple[str, ...] = ()
 
 
-Numbers = tuple[float, float, float, float, float, float]
-
-
 class CorrectedTarget(Record):
     """One target of a motion in a program.
 
@@ -143,11 +140,11 @@ class CorrectedTarget(Record):
     line: int
     command: str
     kind: TargetKind
-    old: Numbers
-    new: Numbers | None = None
+    old: Six
+    new: Six | None = None
     correction_mm: float | None = None
     correction_mrad: float | None = None
-    q_new: Numbers | None = None
+    q_new: Six | None = None
     uncertainty_mm: float | None = None
     uncertainty_mrad: float | None = None
     own_mm: float | None = None

@@ -137,21 +137,16 @@ def read_arm(cells: ArmCells, arm: str, joints: int, limits: NDArray[np.float64]
 
 def _check_joint_columns(cells: ArmCells, arm: str, joints: int) -> None:
     """Check that a quantity per joint has a column for each joint of the arm and no value for any other."""
-    numbered: dict[str, set[int]] = {column.csv[0]: set() for column in COLUMNS if column.shape == "joints"}
-    for name in cells.table.names:
-        found = stem_and_joint(name)
-        if found is not None:
-            numbered[found[0]].add(found[1])
-    wanted = set(range(1, joints + 1))
-    for stem, numbers in numbered.items():
-        if numbers:
-            for number in sorted(wanted - numbers):
-                cells.problems.add(1, f"{stem}{number}", f"the column is missing; arm {arm} has {joints} joints")
-        for number in sorted(numbers - wanted):
-            name = f"{stem}{number}"
-            filled = [index for index, text in enumerate(cells.texts(name)) if text.strip()]
-            if filled:
-                cells.refuse(filled[0], name, f"there is a value, but arm {arm} has {joints} joints in the profile")
+    for column in (column for column in COLUMNS if column.shape == "joints"):
+        own = column.csv_names(joints)
+        there = [name for name in cells.table.names if (stem_and_joint(name) or ("",))[0] == column.csv[0]]
+        for name in own if there else ():
+            if name not in there:
+                cells.problems.add(1, name, f"the column is missing; arm {arm} has {joints} joints")
+        for name in there:
+            filled = next((index for index, text in enumerate(cells.texts(name)) if text.strip()), None)
+            if name not in own and filled is not None:
+                cells.refuse(filled, name, f"there is a value, but arm {arm} has {joints} joints in the profile")
 
 
 def _check_once(

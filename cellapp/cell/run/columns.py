@@ -217,9 +217,9 @@ def understood(
                 doubled[name] = tuple(one.column for one in its)
     foreign = {one.column: one for one in read if one.column in called and one.rank >= 0}
     others = {called[column]: column for column in foreign}
-    free = {name: f"{name} (not used)" if name in others else name for name in names}  # q1 beside actual_q_0
+    free = (f"{name} (not used)" if name in others else name for name in names)  # q1 beside actual_q_0
     return Understood(
-        tuple((free | called)[name] for name in names),
+        tuple(called.get(name, other) for name, other in zip(names, free, strict=True)),
         {called[column]: one.factor for column, one in foreign.items() if one.factor is not None},
         others,
         doubled,

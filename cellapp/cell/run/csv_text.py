@@ -16,7 +16,6 @@ import io
 import itertools
 import math
 import re
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -25,7 +24,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO, TypeGuard
 
 from cellapp.estimation.readings.columns import CONFIGURATION
+from cellapp.ground.counting import first_few
 from cellapp.ground.errors import InputError
+from cellapp.ground.file_text import readable
 from cellapp.ground.outputs import NEW_ONLY, Outputs
 
 if TYPE_CHECKING:
@@ -38,8 +39,6 @@ NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 """Pattern of a decimal number; ``float`` would accept more (nan, 1_000)."""
 COMMENTS = ("#", "%", "//")
 """Beginnings of lines that are comments."""
-_SHOWN = 5
-"""Problems per message: enough to see a pattern, few enough to read."""
 _LONGEST_SHOWN = 40
 """Number of characters of a wrong cell that a message shows."""
 _FORMULA = ("=", "+", "-", "@")
@@ -100,8 +99,7 @@ class Problems:
         """Raise ``InputError`` with the first problems if there are any."""
         if self.found:
             texts = [self.found[where] for where in sorted(self.found, key=lambda where: where[0])]
-            more = [f"and {len(texts) - _SHOWN} more"] if len(texts) > _SHOWN else []
-            raise InputError("\n".join(texts[:_SHOWN] + more))
+            raise InputError("\n".join(first_few(texts, "and {} more")))
 
 
 def short(text: str, longest: int = _LONGEST_SHOWN) -> str:
@@ -165,19 +163,44 @@ def csv_rows(path: Path, what: str, row: str) -> Iterator[tuple[int, list[str]]]
         If it cannot be read, is not CSV in UTF-8, is empty, or a row differs in length from the header.
     """
     with opened_text(path, what) as file:
-        yield from _parse(path, file, row)
+        reader = csv.reader(file, strict=True)
+        filled = ((reader.line_num, cells) for cells in reader if any(cells))
+        try:
+            line, header = next(filled, (0, list[str]()))
+            names = _named([name.strip() for name in header])
+            if not header:
+                raise InputError(f"{path} is empty; expected a header row and {row}")
+            if len(names) == 1 and re.search(r"[;\t|]", names[0]):
+                raise InputError(
+                    f"{path}:{line}: the header is one column; separate columns by commas, and write 0.5, not 0,5"
+                )
+            yield line, names
+            for line, cells in filled:
+                if len(cells) == len(names) or not cells[0].lstrip().startswith(COMMENTS):
+                    yield line, _as_wide(f"{path}:{line}", cells, names, len(header))
+        except csv.Error as error:
+            raise InputError(f"{path}:{reader.line_num}: not CSV: {error}; correct the line") from None
+
+
+def _as_wide(place: str, cells: list[str], names: Sequence[str], columns: int) -> list[str]:
+    """Return the cells of a row below ``names`` of the first ``columns``. Raise ``InputError`` if it is not as wide."""
+    count = len(cells)
+    unnamed = [number for number, cell in enumerate(cells, start=1) if number > len(names) and cell]
+    if count == columns and unnamed:
+        raise InputError(f"{place}: column {unnamed[0]}: has no name; name it or remove it")
+    if count not in (len(names), columns):
+        column = names[count] if count < len(names) else f"column {len(names) + 1}"
+        hint = "; write 0.5, not 0,5, and texts with commas in quotes" if count > len(names) else ""
+        raise InputError(f"{place}: {column}: the row has {count} cells, the header has {len(names)}{hint}")
+    return cells[: len(names)]
 
 
 @contextmanager
 def opened_text(path: Path, what: str, encoding: str = "utf-8-sig") -> Iterator[TextIO]:
     """Open a file of ``what`` as a context manager. Raise ``InputError`` if it cannot be read, or is not UTF-8."""
     try:
-        with path.open(encoding=encoding, newline="") as file:
+        with readable(path, f"give a CSV file of {what}"), path.open(encoding=encoding, newline="") as file:
             yield file
-    except FileNotFoundError:
-        raise InputError(f"{path}: file not found; give a CSV file of {what}") from None
-    except OSError as error:
-        raise InputError(f"{path} cannot be read: {error.strerror}; give a CSV file of {what}") from None
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: not UTF-8 text ({error.reason}); save the file as CSV in UTF-8") from None
 
@@ -203,42 +226,6 @@ def check_names(names: Sequence[str], place: str) -> None:
 def _named(names: Sequence[str]) -> list[str]:
     """Leave out the last columns without a name, as spreadsheets write them."""
     return [name for place, name in enumerate(names) if any(names[place:])]
-
-
-def _parse(path: Path, file: Iterable[str], expected: str) -> Iterator[tuple[int, list[str]]]:
-    reader = csv.reader(file, strict=True)
-    names: list[str] | None = None
-    line = spare = 0
-    try:
-        for row in reader:
-            line = reader.line_num
-            if not any(row):
-                continue
-            if names is None:
-                names = row = [name.strip() for name in row]
-                spare = len(names) - len(_named(names))
-                names = row = _named(names)
-                if len(names) == 1 and re.search(r"[;\t|]", names[0]):
-                    raise InputError(
-                        f"{path}:{line}: the header is one column; separate columns by commas, and write 0.5, not 0,5"
-                    )
-            elif len(row) != len(names) and row[0].lstrip().startswith(COMMENTS):
-                continue
-            elif spare and len(row) == len(names) + spare:
-                if filled := next((place for place, cell in enumerate(row, 1) if place > len(names) and cell), 0):
-                    raise InputError(f"{path}:1: column {filled}: has no name; name it or remove it")
-                row = row[: len(names)]
-            elif len(row) != len(names):
-                column = names[len(row)] if len(row) < len(names) else f"column {len(names) + 1}"
-                hint = "; write 0.5, not 0,5, and texts with commas in quotes" if len(row) > len(names) else ""
-                raise InputError(
-                    f"{path}:{line}: {column}: the row has {len(row)} cells, the header has {len(names)}{hint}"
-                )
-            yield line, row
-    except csv.Error as error:
-        raise InputError(f"{path}:{line + 1}: not CSV: {error}; correct the line") from None
-    if names is None:
-        raise InputError(f"{path} is empty; expected a header row and {expected}")
 
 
 _DECIMAL_COMMA = re.compile(r"[+-]?[0-9]*,[0-9]+(?:[eE][+-]?[0-9]+)?")
@@ -346,18 +333,15 @@ def read_header(path: Path, what: str, example: str) -> CsvFile:
             )
     found = _written(path, what, lines, example)
     if found is None:
-        line, names = next(csv_rows(path, what, ROW))
-        found = CsvFile(path, what, line, tuple(names))
-    found = replace(found, encoding=encoding)
-    if len(found.names) > 2 and not found.names[0]:
-        found = replace(found, names=(_INDEX, *found.names[1:]))
-    names, seen = list[str](), Counter[str]()
-    for name in found.names:
-        seen[name] += 1
-        names.append(f"{name} ({seen[name]})" if name and seen[name] > 1 else name)
-    found = replace(found, names=tuple(names))
-    check_names(found.names, f"{path}:{found.head}")
-    return found
+        line, header = next(csv_rows(path, what, ROW))
+        found = CsvFile(path, what, line, tuple(header))
+    names = [*found.names]
+    if len(names) > 2 and not names[0]:
+        names[0] = _INDEX
+    count = [names[: place + 1].count(name) for place, name in enumerate(names)]
+    names = [f"{name} ({n})" if name and n > 1 else name for name, n in zip(names, count, strict=True)]
+    check_names(names, f"{path}:{found.head}")
+    return replace(found, names=tuple(names), encoding=encoding)
 
 
 def _encoding(path: Path, what: str) -> str:

@@ -40,7 +40,6 @@ from cellapp.cell.run.sqlite_file import (
     check_header,
     check_integrity,
     connect,
-    damage_as_sentence,
     insert_document,
     insert_outcome,
     make_empty_folder,
@@ -301,10 +300,9 @@ class RunFile:
             check_header(folder, path)
             connection = connect(path, "ro") if checked else connect(path, "ro", wait_s=0.0)
             try:
-                with damage_as_sentence(path):
-                    if checked:
-                        check_integrity(path, connection)
-                    profile = read_profile(path, connection)
+                if checked:
+                    check_integrity(path, connection)
+                profile = read_profile(path, connection)
                 if write:
                     try_folder(folder)  # results stand beside the run file, and so does its journal
                     connection.close()
@@ -386,7 +384,7 @@ class RunFile:
 
     def planned_counts(self) -> dict[str, int]:
         """Return the number of planned stops of each arm, reserves included; empty without a plan."""
-        counts = dict(self._select("SELECT arm, COUNT(*) FROM plan GROUP BY arm"))
+        counts = dict(self.select("SELECT arm, COUNT(*) FROM plan GROUP BY arm"))
         return {arm: counts[arm] for arm in self._in_profile_order(set(counts))}
 
     # -- readings ----------------------------------------------------------------------------------------------------
@@ -455,21 +453,21 @@ class RunFile:
         in_sockets = f"SELECT DISTINCT arm FROM reading WHERE {OF_SOCKETS} IS NOT NULL"
         found = dict[str, str]()
         for since, column, asked in ((8, OF_SEVERAL, several), (7, OF_SOCKETS, in_sockets)):
-            found |= dict.fromkeys((arm for (arm,) in self._select(asked, since)), removed_readings(column))
+            found |= dict.fromkeys((arm for (arm,) in self.select(asked, since)), removed_readings(column))
         return found
 
     def split_counts(self) -> dict[str, dict[str | None, int]]:
         """Count the readings of each arm that has some, by split; None is no split."""
         counts: dict[str, dict[str | None, int]] = {}
         asked = "SELECT arm, split, COUNT(DISTINCT configuration) FROM reading GROUP BY arm, split"
-        for arm, split, n in self._select(asked):
+        for arm, split, n in self.select(asked):
             counts.setdefault(arm, {})[split] = n
         return {arm: counts[arm] for arm in self._in_profile_order(set(counts))}
 
     def mean_temperatures(self) -> dict[str, dict[str, float]]:
         """Return mean temperatures [degC] of each arm's readings: of the "air" and of each "joint N", where known."""
-        air = self._select("SELECT arm, 'air', AVG(temperature_c) FROM reading GROUP BY arm")
-        joints = self._select(
+        air = self.select("SELECT arm, 'air', AVG(temperature_c) FROM reading GROUP BY arm")
+        joints = self.select(
             "SELECT arm, 'joint ' || (joint.key + 1), AVG(joint.value)"
             " FROM reading, json_each(reading.joint_temperature_c) AS joint GROUP BY arm, joint.key"
         )
@@ -487,7 +485,7 @@ class RunFile:
 
     def arms(self) -> list[str]:
         """Return the names of the arms that have readings, in the profile's order."""
-        return self._in_profile_order({name for (name,) in self._select("SELECT DISTINCT arm FROM reading")})
+        return self._in_profile_order({name for (name,) in self.select("SELECT DISTINCT arm FROM reading")})
 
     def stops_done(self) -> set[int]:
         """Return the numbers of the stored configurations; each was stored for all of its arms at once."""
@@ -525,9 +523,7 @@ class RunFile:
 
     def events(self) -> list[Event]:
         """Return the run's log, oldest entry first."""
-        return [
-            Event(*row) for row in self._select("SELECT number, written, time_s, level, text FROM event ORDER BY 1")
-        ]
+        return [Event(*row) for row in self.select("SELECT number, written, time_s, level, text FROM event ORDER BY 1")]
 
     def write_document(self, name: str, json_text: str) -> None:
         """Store a document that is not the result of a verb; it replaces an earlier one of that name."""
@@ -558,7 +554,7 @@ class RunFile:
     def stage_rows(self) -> list[StageRow]:
         """Return all stages, oldest first; none in a file of schema 1 or 2."""
         asked = "SELECT number, name, written, program, basis, text, model FROM stage ORDER BY number"
-        return [StageRow(*row) for row in self._select(asked, since=3)]
+        return [StageRow(*row) for row in self.select(asked, since=3)]
 
     # -- collecting --------------------------------------------------------------------------------------------------
 
@@ -602,13 +598,13 @@ class RunFile:
     def sessions(self) -> list[Session]:
         """Return all sessions of collecting, oldest first."""
         asked = "SELECT session, written, kind, reason FROM request ORDER BY rowid"
-        requests = grouped((session, SessionRequest(*request)) for session, *request in self._select(asked, _SESSIONS))
+        requests = grouped((session, SessionRequest(*request)) for session, *request in self.select(asked, _SESSIONS))
         with self.look() as connection:
             again = "COALESCE(again, '')" if schema_version(connection) >= 9 else "''"
         asked = f"SELECT number, began, ended, outcome, reason, {again} FROM session ORDER BY number"
         return [
             Session(number, began, ended, outcome, reason, tuple(requests.get(number, ())), again)
-            for number, began, ended, outcome, reason, again in self._select(asked, _SESSIONS)
+            for number, began, ended, outcome, reason, again in self.select(asked, _SESSIONS)
         ]
 
     def outcomes(self) -> list[Outcome]:
@@ -618,7 +614,7 @@ class RunFile:
             " (SELECT 1 FROM reading WHERE reading.configuration = outcome.stop AND reading.arm = outcome.arm)"
             " ORDER BY stop, arm"
         )
-        return [Outcome(*row) for row in self._select(asked, _SESSIONS)]
+        return [Outcome(*row) for row in self.select(asked, _SESSIONS)]
 
     def late(self) -> set[tuple[int, str]]:
         """Return stops and arms that have a reading now and had none when they were visited before."""
@@ -626,19 +622,19 @@ class RunFile:
             "SELECT stop, outcome.arm FROM outcome JOIN reading"
             " ON reading.configuration = outcome.stop AND reading.arm = outcome.arm WHERE kind = 'not measured'"
         )
-        return {(stop, arm) for stop, arm in self._select(asked, _SESSIONS)}
+        return {(stop, arm) for stop, arm in self.select(asked, _SESSIONS)}
 
     def references(self) -> list[ReferenceRow]:
         """Return all reference measurements, oldest first."""
-        rows = self._select("SELECT name, stops_done, time_s, p_m, session FROM reference ORDER BY rowid", _SESSIONS)
+        rows = self.select("SELECT name, stops_done, time_s, p_m, session FROM reference ORDER BY rowid", _SESSIONS)
         return [
             ReferenceRow(name, done, time_s, np.array(json.loads(p_M)), session)
             for name, done, time_s, p_M, session in rows
         ]
 
-    # -- inside ------------------------------------------------------------------------------------------------------
+    # -- for the modules of this package, each of which owns a table -------------------------------------------------
 
-    def _select(self, asked: str, since: int = 1) -> list[tuple[Any, ...]]:
+    def select(self, asked: str, since: int = 1) -> list[tuple[Any, ...]]:
         """Return the rows of a question; none in a file of a schema before ``since``."""
         with self.look() as connection:
             return connection.execute(asked).fetchall() if schema_version(connection) >= since else []
@@ -650,7 +646,7 @@ class RunFile:
 
     @contextlib.contextmanager
     def look(self) -> Iterator[sqlite3.Connection]:
-        """Give the database connection for reading, to the modules of this package that own a table each."""
+        """Give the database connection for reading."""
         with self._lock, sentences(self.folder):
             yield self._connection
 

@@ -64,10 +64,7 @@ def earlier_readings(run: RunFile, arm: str) -> tuple[Readings, tuple[str, ...]]
 
 def replaced_counts(run: RunFile) -> dict[str, int]:
     """Count the replaced readings of each arm; arms without one are left out."""
-    with run.look() as connection:
-        if schema_version(connection) < _SINCE:
-            return {}
-        return dict(connection.execute("SELECT arm, COUNT(*) FROM earlier_reading GROUP BY arm").fetchall())
+    return dict(run.select("SELECT arm, COUNT(*) FROM earlier_reading GROUP BY arm", _SINCE))
 
 
 def _has_reading(connection: sqlite3.Connection, arm: str, stop: int) -> bool:

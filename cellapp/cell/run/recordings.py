@@ -19,7 +19,6 @@ from cellapp.cell.run.columns import Kind, joint_stream, point_stream
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.recordings_csv import RecordedStreams, read_recordings
 from cellapp.cell.run.records import RecordingState
-from cellapp.cell.run.sqlite_file import schema_version
 from cellapp.estimation.motion.streams import Recording
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.readings.readings import FIRST_SAMPLE, joined
@@ -95,10 +94,7 @@ def recordings_digest(run: RunFile, arm: str) -> tuple[int, str]:
 
 def _listed(run: RunFile) -> list[tuple[RecordingState, str]]:
     """List the recordings in the order of arms, then of their import, with the hash of each."""
-    with run.look() as connection:
-        if schema_version(connection) < _SINCE:
-            return []
-        rows = connection.execute("SELECT about, sha256 FROM recording ORDER BY rowid").fetchall()
+    rows = run.select("SELECT about, sha256 FROM recording ORDER BY rowid", _SINCE)
     found = [(RecordingState.model_validate_json(about), str(sha)) for about, sha in rows]
     order = [*run.profile.arms]
     return sorted(found, key=lambda one: order.index(one[0].arm))

@@ -318,25 +318,14 @@ def check_integrity(path: Path, connection: sqlite3.Connection) -> None:
 
 
 @contextlib.contextmanager
-def damage_as_sentence(path: Path) -> Iterator[None]:
-    """Report errors of SQLite during checks as damage of the file."""
-    try:
-        yield
-    except sqlite3.OperationalError as error:
-        if "no such table" in str(error):
-            raise InputError(f"{path} is damaged ({error}); restore it from a copy") from None
-        raise
-    except sqlite3.DatabaseError as error:
-        raise InputError(f"{path} is damaged ({error}); restore it from a copy") from None
-
-
-@contextlib.contextmanager
 def sentences(folder: Path) -> Iterator[None]:
     """Convert errors of SQLite and of the file system to an ``InputError`` that names the file and what to do."""
     path = folder / FILE_NAME
     try:
         yield
     except sqlite3.OperationalError as error:
+        if "no such table" in str(error):
+            raise InputError(f"{path} is damaged ({error}); restore it from a copy") from None
         raise InputError(
             f"{path}: {error}; check that the disk is neither full nor write-protected"
             " and that no other program holds the file"
@@ -344,7 +333,7 @@ def sentences(folder: Path) -> Iterator[None]:
     except sqlite3.ProgrammingError as error:
         raise InputError(f"{path}: {error}") from error
     except sqlite3.DatabaseError as error:
-        raise InputError(f"{path}: {error}; restore the run from a copy") from error
+        raise InputError(f"{path} is damaged ({error}); restore it from a copy") from error
     except OSError as error:
         where = error.filename or folder
         raise InputError(f"{where}: {error.strerror or error}; check the path and its permissions") from error

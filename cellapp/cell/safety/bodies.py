@@ -232,22 +232,17 @@ def self_clearance(placed: Placed, within: float = np.inf) -> Array:
     return np.asarray(pair_gaps(placed, i, k, within).min(axis=1))
 
 
-def floor_clearance(placed: Placed, floor: float) -> Array:
-    """Compute the smallest height of moving bodies above height ``floor``, shape (n,) [m]; infinite without any."""
+def height_clearance(placed: Placed, floor: float = -math.inf, ceiling: float = math.inf) -> Array:
+    """Compute the smallest distance of moving bodies from heights ``floor`` below and ``ceiling`` above, (n,) [m].
+
+    Infinite without moving bodies.
+    """
     moving = placed.arm.moving
     if not len(moving):
         return np.full(len(placed.smr), np.inf)
-    lowest = np.minimum(placed.start[:, :, 2], placed.end[:, :, 2])[:, moving] - placed.radius[moving]
-    return np.asarray(lowest.min(axis=1) - floor)
-
-
-def ceiling_clearance(placed: Placed, ceiling: float) -> Array:
-    """Compute the smallest depth of moving bodies below height ``ceiling``, shape (n,) [m]; infinite without any."""
-    moving = placed.arm.moving
-    if not len(moving):
-        return np.full(len(placed.smr), np.inf)
-    highest = np.maximum(placed.start[:, :, 2], placed.end[:, :, 2])[:, moving] + placed.radius[moving]
-    return np.asarray(ceiling - highest.max(axis=1))
+    ends, radius = np.stack([placed.start[:, moving, 2], placed.end[:, moving, 2]]), placed.radius[moving]
+    lowest, highest = (ends.min(axis=0) - radius).min(axis=1), (ends.max(axis=0) + radius).max(axis=1)
+    return np.asarray(np.minimum(lowest - floor, ceiling - highest))
 
 
 def beam_clearance(tracker: Array, target: Array, bodies: Placed, *, own: bool) -> Array:

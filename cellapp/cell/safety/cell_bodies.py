@@ -146,24 +146,20 @@ def _obstacles(profile: Profile, bases: dict[str, Array]) -> tuple[list[Obstacle
 
 def shape_of(key: str, entry: AnyObstacle) -> tuple[Shape, Array]:
     """Return the solid of an obstacle, and the centre of the solid in the frame of the obstacle's pose, (3,) [m]."""
-    if isinstance(entry, MeshObstacle):
-        try:
-            return load_mesh(entry.file, entry.scale)
-        except InputError as error:
-            raise InputError(f"{key}.file: {error}") from None
-    return _primitive(entry), np.zeros(3)
-
-
-def _primitive(entry: BoxObstacle | CylinderObstacle | CapsuleObstacle | SphereObstacle) -> Shape:
     match entry:
+        case MeshObstacle():
+            try:
+                return load_mesh(entry.file, entry.scale)
+            except InputError as error:
+                raise InputError(f"{key}.file: {error}") from None
         case BoxObstacle():
-            return RoundedBox(0.5 * np.array(entry.size))
+            return RoundedBox(0.5 * np.array(entry.size)), np.zeros(3)
         case CylinderObstacle():
-            return Cylinder(entry.radius, 0.5 * entry.length)
+            return Cylinder(entry.radius, 0.5 * entry.length), np.zeros(3)
         case CapsuleObstacle():
-            return RoundedBox(np.array([0.0, 0.0, 0.5 * entry.length]), entry.radius)
+            return RoundedBox(np.array([0.0, 0.0, 0.5 * entry.length]), entry.radius), np.zeros(3)
         case SphereObstacle():
-            return RoundedBox(np.zeros(3), entry.radius)
+            return RoundedBox(np.zeros(3), entry.radius), np.zeros(3)
 
 
 # -- Distances of arms at rest from each obstacle: of their bases, and of all that moves ------------------------------

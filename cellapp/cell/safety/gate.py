@@ -26,8 +26,7 @@ from cellapp.cell.safety.bodies import (
     Placed,
     TrackerField,
     beam_clearance,
-    ceiling_clearance,
-    floor_clearance,
+    height_clearance,
     mounted_hides,
     pair_gaps,
     place,
@@ -393,7 +392,7 @@ def with_margin_for_ways(cell: CellBodies, *, between_arms: bool = False) -> Cel
 
 def clear_alone(cell: CellBodies, placed: Placed) -> np.ndarray:
     """Return whether an arm is clear of floor, ceiling, obstacles and itself, ignoring other arms, (n,) bool."""
-    clear = np.minimum(floor_clearance(placed, cell.floor), ceiling_clearance(placed, cell.ceiling)) >= cell.clearance
+    clear = height_clearance(placed, cell.floor, cell.ceiling) >= cell.clearance
     rows = np.flatnonzero(clear)
     clear[rows] = self_clearance(placed.take(rows), cell.self_clearance) >= cell.self_clearance
     for obstacle, asked in zip(cell.obstacles, cell.obstacle_clearances[placed.arm], strict=True):
@@ -549,14 +548,14 @@ def alone_free(cell: CellBodies, paths: Paths) -> tuple[Numbers, str]:
 
 def _heights_free(cell: CellBodies, paths: Paths) -> tuple[Bools, str]:
     needed, bodies = cell.clearance + paths.deviation, paths.coarse_bodies
-    heights = np.minimum(floor_clearance(bodies, cell.floor), ceiling_clearance(bodies, cell.ceiling))
+    heights = height_clearance(bodies, cell.floor, cell.ceiling)
     path, sample = paths.around(~(heights >= (needed + STRIDE * paths.deviation)[paths.coarse[0]]))
     free, refusal = np.ones(len(needed), dtype=np.bool_), ""
     if len(path):
         bodies = paths.placed(path, sample)
         for gaps, what in (
-            (floor_clearance(bodies, cell.floor), "the floor"),
-            (ceiling_clearance(bodies, cell.ceiling), "the ceiling"),
+            (height_clearance(bodies, floor=cell.floor), "the floor"),
+            (height_clearance(bodies, ceiling=cell.ceiling), "the ceiling"),
         ):
             low = path[~(gaps >= needed[path])]
             free[low] = False

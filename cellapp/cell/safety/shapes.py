@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.ground.errors import InputError
+from cellapp.ground.file_text import readable
 from cellapp.robot.kinematics.transforms import Array
 
 _BISECTIONS = 32
@@ -220,6 +221,9 @@ _LARGEST_M = 100.0
 """Size beyond which a mesh was certainly drawn in another unit [m]."""
 
 
+_ADVICE = "give the path of an STL file"
+
+
 def load_mesh(file: str, scale: float) -> tuple[Mesh, Array]:
     """Read a solid from an STL file; return it with its centre in the file's coordinates (3,) [m].
 
@@ -234,10 +238,8 @@ def load_mesh(file: str, scale: float) -> tuple[Mesh, Array]:
     InputError
         If the extra is not installed, the file cannot be read, or it bounds no solid.
     """
-    try:
+    with readable(file, _ADVICE):
         state = Path(file).stat()
-    except OSError as error:
-        raise InputError(f"{file}: cannot be read ({error.strerror}); give the path of an STL file") from None
     if state.st_size > _LARGEST_BYTES:
         raise InputError(f"{file}: {state.st_size / 1e6:.0f} MB; simplify the mesh to some ten thousand triangles")
     return _loaded(file, scale, state.st_mtime_ns, state.st_size)
@@ -255,13 +257,12 @@ def _loaded(file: str, scale: float, _changed_ns: int, _bytes: int) -> tuple[Mes
         ) from None
     logging.getLogger("trimesh").addHandler(logging.NullHandler())  # else it writes tracebacks of bad files to stderr
     try:
-        data = Path(file).read_bytes()
+        with readable(file, _ADVICE):
+            data = Path(file).read_bytes()
         if len(data) != 84 + 50 * int.from_bytes(data[80:84], "little"):
             data.decode()  # then it must be text
         with np.errstate(invalid="ignore", over="ignore"):  # bad numbers are checked below
             read = trimesh.load_mesh(io.BytesIO(data), file_type="stl")
-    except OSError as error:
-        raise InputError(f"{file}: cannot be read ({error.strerror}); give the path of an STL file") from None
     except ValueError:
         raise InputError(f"{file}: not an STL file, or cut short; export it again as STL") from None
     if not len(read.faces) or not np.isfinite(read.vertices).all():

@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from cellapp.estimation.uncertainty.records import CommonUncertainty, ToleranceVerdict, UncertaintyParts
+from cellapp.ground.counting import first_few
 from cellapp.ground.results import DecisionRule, ErrorSummary, Record, Result
-
-_MOST_NAMED = 5
-"""Number of targets that a complaint lists; the others are only counted."""
 
 
 class TargetRecord(Record):
@@ -369,9 +367,8 @@ def _named_out(
     ]
     if not out:
         return []
-    named = [words for words, _ in out[:_MOST_NAMED]]
-    more = [f"{len(out) - _MOST_NAMED} more"] if len(out) > _MOST_NAMED else []
+    named = first_few([words for words, _ in out])
     undecided = sum(verdict != "out" for _, verdict in out)
     proven = f" ({undecided} of these not proven with the uncertainty)" if undecided else ""
     total = sum(verdict != "" for *_, verdict in judged)
-    return [f"{len(out)} of {total} {what} are out of it: {', '.join([*named, *more])}{proven}"]
+    return [f"{len(out)} of {total} {what} are out of it: {', '.join(named)}{proven}"]

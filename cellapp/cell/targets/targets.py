@@ -28,6 +28,7 @@ from cellapp.cell.profile.messages import KeyPath, YamlDocument, short, validati
 from cellapp.cell.run.csv_text import is_frame, table_of_frame
 from cellapp.cell.targets.records import TargetRecord
 from cellapp.cell.targets.target_csv import document_of_table, is_csv, read_csv
+from cellapp.ground.counting import first_few
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import CORRECTED
 from cellapp.ground.profile import CellPoint, Profile
@@ -314,8 +315,6 @@ class TargetList(Section):
         return [_with_sections(keys, frames, conditions) if isinstance(keys, dict) else keys for keys in targets]
 
 
-_MOST_SHOWN = 5
-"""Problems in one message; the others are only counted."""
 _HEAD = 64 * 1024
 """Bytes of a file in which a mark of compensated commands stands."""
 
@@ -346,9 +345,8 @@ def targets_of(document: YamlDocument, profile: Profile) -> tuple[Target, ...]:
         raise InputError(validation_message(error, _by_name(document))) from None
     if misfits := [*_misfits(listed, profile)]:
         places = _by_name(document).places
-        lines = [f"{places.get(at) or places[at[:2]]}: {text}" for at, text in misfits[:_MOST_SHOWN]]
-        more = [f"and {len(misfits) - _MOST_SHOWN} more"] if len(misfits) > _MOST_SHOWN else []
-        raise InputError("\n".join(lines + more))
+        lines = [f"{places.get(at) or places[at[:2]]}: {text}" for at, text in misfits]
+        raise InputError("\n".join(first_few(lines, "and {} more")))
     return listed.targets
 
 

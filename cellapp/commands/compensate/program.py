@@ -33,6 +33,7 @@ from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of, require_own_factory, stage_in_force
 from cellapp.commands.view.table import Cell, Table, columns_of, with_rows
 from cellapp.ground.errors import InputError
+from cellapp.ground.file_text import readable
 from cellapp.ground.outputs import CORRECTED, NEW_ONLY, Outputs, require_suffix, write_new_bytes
 from cellapp.ground.profile import Arm
 from cellapp.ground.shell import shell_word
@@ -154,11 +155,8 @@ def _require_its_calibration(run: RunFile, name: str, model: ArmModel) -> None:
 def _read(program: Path, out: Path, settings: Arm, tcp: Six | None) -> ReadProgram:
     kind = program_kind(program)
     require_suffix(out, (kind,), f"compensate: a copy of {program}")
-    try:
-        with program.open("rb") as file:
-            data = file.read(_LARGEST + 1)
-    except OSError as error:
-        raise InputError(f"{program}: cannot be read ({error.strerror}); give a program, .script or .urp") from None
+    with readable(program, "give a program, .script or .urp"), program.open("rb") as file:
+        data = file.read(_LARGEST + 1)
     if len(data) > _LARGEST:
         raise InputError(f"{program}: larger than {_LARGEST // 2**20} MB; no program is")
     if kind == ".script":
