@@ -29,7 +29,7 @@ def twin() -> Profile:
 
 
 def readings_at(
-    q: Array, p_M: Array, *, approach: Any = 0, time_s: Array | None = None, split: Any = None, **more: Any
+    q: Array, p_M: Array, *, approach: Any = 0, time_s: Any = None, split: Any = None, **more: Any
 ) -> Readings:
     """Readings at joint positions (n, N) [rad] of points (n, 3) [m], numbered as they come.
 
@@ -39,6 +39,7 @@ def readings_at(
     n = len(q)
     if isinstance(split, int):
         split = ["validate" if k % split == split - 1 else "identify" for k in range(n)]
+    others: dict[str, Any] = {name: np.full(n, one) if isinstance(one, float) else one for name, one in more.items()}
     return Readings(
         configuration=np.arange(n),
         time_s=np.full(n, np.nan) if time_s is None else time_s,
@@ -46,7 +47,7 @@ def readings_at(
         approach=np.broadcast_to(approach, q.shape).astype(np.int8),
         p_M=p_M,
         split=None if split is None else tuple(split),
-        **{name: np.full(n, value) if isinstance(value, float) else value for name, value in more.items()},
+        **others,
     )
 
 

@@ -53,10 +53,10 @@ class World:
         self.monitor = Monitor(self.plant)
         self.process = Process()
         self.arms = {name: CampaignArm(self.plant, name, self.monitor) for name in profile.arms}
-        self.tracker = CampaignTracker(self.plant, self.monitor)
+        self.tracker: CampaignTracker = CampaignTracker(self.plant, self.monitor)
         self.air = CampaignAir(self.plant)
         self.disk = Disk(self.plant, self.process, self.monitor, self.kill)
-        self.person = Person(self, np.random.default_rng([seed, 1]))
+        self.person: Person = Person(self, np.random.default_rng([seed, 1]))
         self.stall_allowed = profile.collection.suspend.host_stall.times > 0
         self.struck: Counter[str] = Counter()
         self.is_open = False
