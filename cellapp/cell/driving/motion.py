@@ -171,19 +171,11 @@ class Mover:
     """
 
     def __init__(
-        self,
-        profile: Profile,
-        cell: Cell,
-        bodies: CellBodies,
-        reaction: StopReaction,
-        control: JobControl,
-        emit: Callable[[Detail], None] = lambda detail: None,
+        self, profile: Profile, cell: Cell, bodies: CellBodies, reaction: StopReaction, control: JobControl
     ) -> None:
         self.profile, self.cell, self.bodies, self.reaction, self.control = profile, cell, bodies, reaction, control
         self.homes: Targets = home_positions(profile)
-        self.carried = {name: arm.payload for name, arm in profile.arms.items()}
-        """Payload of each arm according to the profile."""
-        self.emit = emit
+        self.emit: Callable[[Detail], None] = lambda detail: None
         self.approach = {name: np.zeros(len(arm.type.joints), dtype=np.int8) for name, arm in profile.arms.items()}
         """Arm -> sign of each joint's last motion (N,); 0 if the joint has not moved yet."""
         self._step: dict[str, Vector] = {}
@@ -445,15 +437,6 @@ class Mover:
             name = next((name for name in waiting if not self.refusal({name: self.homes[name]})), waiting[0])
             self.move({name: self.homes[name]})
             waiting.remove(name)
-
-    def go_home_unless_clear(self, name: str, q: Vector) -> None:
-        """Move an arm home, unless the gate accepts the straight way to ``q`` (N,) [rad] and from there home.
-
-        This prevents stranding the arm. Raise as ``move``.
-        """
-        home = {name: self.homes[name]}
-        if self.refusal({name: q}, home):
-            self.move(home)
 
     def _settled(
         self, names: Sequence[str], timeout_s: float, look: Callable[[], None] = lambda: None, round_s: float = _ROUND_S

@@ -59,29 +59,38 @@ The second one is for arms that are close to something."""
 
 
 def drive_to(
-    mover: Mover, names: Sequence[str], command: CommandFrom, sides: Sides, step_rad: float = _STEPS_BACK_RAD[0]
+    mover: Mover,
+    targets: Targets,
+    sides: Sides,
+    step_rad: float = _STEPS_BACK_RAD[0],
+    command: CommandFrom | None = None,
 ) -> dict[str, ArmState]:
-    """Drive ``names`` to their commands from the given sides, the others home first. Return their states at rest.
+    """Drive arms to ``targets`` from the given sides, the others home first. Return their states at rest.
 
     The last motion of each joint is ``step_rad`` times its side [rad]. Only motions after which the arms can move home
-    again are allowed.
+    again are allowed. ``command`` returns what is sent to an arm instead of its target.
 
     Raises
     ------
     MotionRefused
-        If the gate accepts no way to the commands.
+        If the gate accepts no way to the targets.
     CellStopped
         As ``Mover.move``.
     """
-    q = mover.positions()
-    away = [name for name in q if name not in names and not mover.rests_at({name: mover.homes[name]})]
+    here = mover.positions()
+    away = [name for name in here if name not in targets and not mover.rests_at({name: mover.homes[name]})]
     if away:
         mover.go_home(away)
+
+    def drive(start: Targets) -> dict[str, ArmState]:
+        sent = targets if command is None else {name: command(name, start[name]) for name in targets}
+        return _drive(mover, sent, sides, step_rad)
+
     try:
-        return _drive(mover, {name: command(name, q[name]) for name in names}, sides, step_rad)
+        return drive(here)
     except MotionRefused:
-        mover.go_home(names)
-        return _drive(mover, {name: command(name, mover.homes[name]) for name in names}, sides, step_rad)
+        mover.go_home(list(targets))
+        return drive(mover.homes)
 
 
 def drive_back(mover: Mover, targets: Targets, sides: Sides) -> dict[str, ArmState]:
@@ -176,18 +185,18 @@ class TargetVisit:
 
     def _go(self, kind: CommandKind, found: Findings) -> tuple[States, Mapping[str, Vector]]:
         """Drive all arms of a target to their commands of one kind; return their states and the sent positions."""
-        sent: dict[str, Vector] = {}
-        sides = {} if kind == "nominal" else self._sides(found)
+        nominal = kind == "nominal"
+        q = {name: np.asarray(one.q_nominal if nominal else one.q_compensated) for name, one in found.commands.items()}
+        if nominal:
+            return drive_to(self.mover, q, {}), q
+        sides, sent = self._sides(found), dict[str, Vector]()
 
         def command(name: str, start: Vector) -> Vector:
-            one = found.commands[name]
-            sent[name] = np.asarray(one.q_nominal if kind == "nominal" else one.q_compensated)
-            if kind == "compensated":
-                here = arrival(sent[name], start, sides.get(name))
-                sent[name] = with_approach(self.model.arms[name], sent[name], here, one.conditions)
+            here = arrival(q[name], start, sides.get(name))
+            sent[name] = with_approach(self.model.arms[name], q[name], here, found.commands[name].conditions)
             return sent[name]
 
-        return drive_to(self.mover, list(found.commands), command, sides), sent
+        return drive_to(self.mover, q, sides, command=command), sent
 
     def _sides(self, found: Findings) -> dict[str, Vector]:
         """Return the sides from which arms arrive: as stated; else, if they matter to the model, those of the way.

@@ -73,7 +73,7 @@ from cellapp.robot.kinematics.transforms import Array, rpy_of, xyz_of
 from cellapp.robot.model import CellModel
 from cellapp.robot.paths.cartesian import CartesianPath
 from cellapp.robot.paths.joint_path import Trajectory
-from drivers.arms.protocol import ArmState, PathFollower
+from drivers.arms.protocol import PathFollower
 from drivers.trackers.protocol import NotReady, Point, TrackerError, stream_of
 
 _ENDED = "the job ended before"
@@ -388,7 +388,7 @@ class _Session:
                 self.mover.control.tell("find base", done, len(q), f"arm {name}")
                 self.mover.hold()
                 try:
-                    state = self._drive({name: target})[name]
+                    state = drive_to(self.mover, {name: target}, {})[name]
                     points.append(self._at_rest(name, state.q))
                     reached.append(state.q)
                 except (MotionRefused, TrackerError) as error:
@@ -550,8 +550,7 @@ class _Session:
         def begin() -> None:
             self.mover.hold()
             for q in (_run_up(trajectory.q), trajectory.q[0]):
-                self.mover.go_home_unless_clear(spec.arm, q)
-                self.mover.move({spec.arm: q})
+                drive_to(self.mover, {spec.arm: q}, {})
 
         interval_s = INTERVAL_S / (series or self.task.speed)  # as many points at each speed
         try:
@@ -612,7 +611,7 @@ class _Session:
         """Drive to a visit's targets; measure if it has a place; record why a measurement is missing."""
         self.mover.hold()
         try:
-            states = self._drive(visit.targets)
+            states = drive_to(self.mover, visit.targets, {})
             if visit.place is None:
                 return
             points = {name: self._at_rest(name, states[name].q) for name in visit.targets}
@@ -634,9 +633,6 @@ class _Session:
                 orientations={name: its for name, point in points.items() if (its := point.orientation) is not None},
             )
         )
-
-    def _drive(self, targets: Mapping[str, Vector]) -> Mapping[str, ArmState]:
-        return drive_to(self.mover, list(targets), lambda name, start: targets[name], {})
 
     def _at_rest(self, name: str, q: Vector) -> Point:
         self.mover.rest(name, DWELL_S)
