@@ -87,11 +87,6 @@ def answers_of_all(
     return answers, errors
 
 
-def asleep() -> float:
-    """Return 0, the age [s] of data while the job waits on purpose: its own waiting is not silence."""
-    return 0.0
-
-
 class JobPulse:
     """Time of the last sign of life of the job's thread, which writes it; any thread can read it without waiting."""
 
@@ -104,8 +99,11 @@ class JobPulse:
         self._beat_s = time.monotonic()
 
     @contextmanager
-    def waiting(self, age_s: Callable[[], float] = asleep) -> Iterator[None]:
-        """While this context is open, count the job as alive as its device: ``age_s`` returns the data's age [s]."""
+    def waiting(self, age_s: Callable[[], float] = lambda: 0.0) -> Iterator[None]:
+        """While this context is open, count the job as alive as its device: ``age_s`` returns the data's age [s].
+
+        By default that is 0: the job waits on purpose, and its own waiting is not silence.
+        """
         self.beat()
         self._waits_for = age_s
         try:

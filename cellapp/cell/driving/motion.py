@@ -409,16 +409,17 @@ class Mover:
     def _record_foreign_steps(self, start: Mapping[str, Vector]) -> None:
         """Record motions since the last completed one of this object: interrupted ones, or of an arm moved by hand."""
         for name, q in start.items():
-            step = q - self._rested_at.get(name, q)
-            moved = np.abs(step) > MOVED_RAD
-            if moved.any():
-                self.approach[name] = np.where(moved, np.sign(step), self.approach[name]).astype(np.int8)
+            self._record_signs(name, q - self._rested_at.get(name, q))
+
+    def _record_signs(self, name: str, step: Vector) -> NDArray[np.bool_]:
+        """Record the signs of a motion (N,) [rad]; return which joints moved."""
+        moved = np.abs(step) > MOVED_RAD
+        self.approach[name] = np.where(moved, np.sign(step), self.approach[name]).astype(np.int8)
+        return moved
 
     def _record_step(self, name: str, start: Vector, commanded: Vector, reached: Vector) -> None:
         """Record the last motion of each joint. Raise ``CellStopped`` if the arm did not reach its target."""
-        step = commanded - start
-        moved = np.abs(step) > MOVED_RAD
-        self.approach[name] = np.where(moved, np.sign(step), self.approach[name]).astype(np.int8)
+        moved = self._record_signs(name, commanded - start)
         if moved.any() or name not in self._step:  # an arm that was already there keeps its last motion
             self._step[name] = np.where(moved, reached - start, 0.0)
         self._rested_at[name] = reached
