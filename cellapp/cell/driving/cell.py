@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.driving.tracker_watch import TrackerMonitor, UnaskedTracker, Watch, unwatched, watched
+from cellapp.cell.driving.tracker_watch import TrackerMonitor, UnaskedTracker, Watch, unwatched
 from cellapp.cell.safety.gate import Gate, refuse_motion
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError, InputError
@@ -139,9 +139,9 @@ class Cell:
     arms: Mapping[str, Arm]
     tracker: Tracker
     clock: Clock
+    watch_tracker: Watch
     air: AirSensor | None = None
     together: Together = in_threads
-    watch_tracker: Watch = watched
     gate: Gate = refuse_motion
     tracker_unmet: tuple[str, ...] = ()
     pulse: JobPulse = field(default_factory=JobPulse)
@@ -197,15 +197,15 @@ def open_cell(profile: Profile, *, plant: Plant | None = None, control: JobContr
         control.check()
         if simulated is None:
             monitor = stack.enter_context(TrackerMonitor(tracker))
-            yield Cell(arms, monitor, RealClock(), air, tracker_unmet=unmet)
+            yield Cell(arms, monitor, RealClock(), monitor.watching, air, tracker_unmet=unmet)
         else:
             yield Cell(
                 arms,
                 tracker,
                 SimulatedClock(simulated),
+                partial(unwatched, tracker),
                 air,
                 together,
-                unwatched,
                 tracker_unmet=unmet,
                 plant=simulated,
                 record_sweep=partial(record_sweep, simulated, recorder_of(simulated)),
@@ -224,7 +224,8 @@ def open_arms(profile: Profile, control: JobControl, *, simulation: bool) -> Ite
     with ExitStack() as stack:
         stack.push(partial(_disconnect_all, arms, in_threads))
         _connect_all(arms, in_threads, control)
-        yield Cell(arms, UnaskedTracker(), RealClock(), watch_tracker=unwatched)
+        tracker = UnaskedTracker()
+        yield Cell(arms, tracker, RealClock(), partial(unwatched, tracker))
 
 
 def _needs_plant(profile: Profile) -> bool:

@@ -305,7 +305,7 @@ class Mover:
         """
         self._record_foreign_steps(start)
         self.departure = dict(start)
-        with self.cell.watch_tracker(self.cell.tracker, self._tracker_died):
+        with self.cell.watch_tracker(self._tracker_died):
             self.ask_all({name: arm.confirm for name, arm in self.cell.arms.items()})
             begins = {name: start[name] for name in ends}
             self.emit(MotionBegun(self.stop, vectors(begins), vectors(ends), expected_s))
