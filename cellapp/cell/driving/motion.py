@@ -158,7 +158,7 @@ def reading_of(point: PointAtRest, conditions: MeasurementConditions, **more: An
 
 
 class MotionRefused(CellappError):
-    """The gate refused a motion; nothing has moved."""
+    """A motion, or a command corrected by measuring, was refused; nothing has moved."""
 
     exit_code = 3
 

@@ -276,7 +276,7 @@ class TargetVisit:
                 }
                 sent = {name: corrected.get(name, one.sent) for name, one in last.items()}
                 now = self._again(found, states, sent, names)
-            except (CorrectionRefused, MotionRefused) as error:
+            except MotionRefused as error:
                 found.note(names, str(error))
                 return
             before_M |= {name: last[name].noise_M for name in names}
@@ -332,10 +332,6 @@ _FINEST_M = 1e-6
 """Least standard deviation of a coordinate [m]: no arm positions better, and it keeps a zero covariance regular."""
 
 
-class CorrectionRefused(InputError):
-    """A correction was refused because it would be wrong; nothing has moved."""
-
-
 def corrected_command(arm: ArmModel, q: Array, error_M: Array, first_q: Array) -> Array:
     """Return the command (N,) [rad] that moves the SMR by ``-error_M`` (3,) [m] from where the command ``q`` puts it.
 
@@ -345,7 +341,7 @@ def corrected_command(arm: ArmModel, q: Array, error_M: Array, first_q: Array) -
 
     Raises
     ------
-    CorrectionRefused
+    MotionRefused
         If the model does not reach the shifted position, or the command is too far from the model's own.
     """
     rotation_M, _ = arm.flange(q[None])
@@ -354,11 +350,11 @@ def corrected_command(arm: ArmModel, q: Array, error_M: Array, first_q: Array) -
     if not reached[0] and arm.geometry.joints < _POSE:
         corrected, reached = invert_model(arm, aim_M, np.full((1, 3, 3), np.nan), q[None])
     if not reached[0]:
-        raise CorrectionRefused("correction refused: the calibrated model does not reach the corrected position")
+        raise MotionRefused("correction refused: the calibrated model does not reach the corrected position")
     far_m = float(np.linalg.norm(np.diff(arm.predict(np.stack([first_q, corrected[0]])), axis=0)))
     far_rad = float(np.abs(corrected[0] - first_q).max())
     if not (far_m <= FARTHEST_M and far_rad <= _FARTHEST_RAD):
-        raise CorrectionRefused(
+        raise MotionRefused(
             f"correction refused: it leads {far_m * 1e3:.1f} mm and {np.degrees(far_rad):.1f} deg from the model's"
             f" command, at most {FARTHEST_M * 1e3:.0f} mm and {np.degrees(_FARTHEST_RAD):.1f} deg are allowed; look at"
             " the SMR, its mount and the tracker"
