@@ -439,6 +439,15 @@ class Mover:
             self.move({name: self.homes[name]})
             waiting.remove(name)
 
+    def go_home_unless_clear(self, name: str, q: Vector) -> None:
+        """Move an arm home, unless the gate accepts the straight way to ``q`` (N,) [rad] and from there home.
+
+        This prevents stranding the arm. Raise as ``move``.
+        """
+        home = {name: self.homes[name]}
+        if self.refusal({name: q}, home):
+            self.move(home)
+
     def _settled(
         self, names: Sequence[str], timeout_s: float, look: Callable[[], None] = lambda: None, round_s: float = _ROUND_S
     ) -> dict[str, ArmState]:

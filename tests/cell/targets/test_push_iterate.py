@@ -16,7 +16,7 @@ from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.driving.motion import Mover
 from cellapp.cell.driving.supervision import moving_cell
 from cellapp.cell.driving.sweeping import MOST_RUNS, drive_path
-from cellapp.cell.driving.target_visit import drive_to, push
+from cellapp.cell.driving.target_visit import push
 from cellapp.cell.exports.export_format import first_rates
 from cellapp.cell.run import RunFile
 from cellapp.cell.targets.compensate import compensate
@@ -288,7 +288,8 @@ def off_m(run: RunFile, model: CellModel, plan: PathPlan) -> Array:
 
         def begin() -> None:
             for q in (sure(before), sure(trajectory).q[0]):
-                drive_to(mover, {"right": q}, {})
+                mover.go_home_unless_clear("right", q)
+                mover.move({"right": q})
 
         found = drive_path(mover, "right", sure(trajectory), begin, sure(path).positions(np.zeros(1))[0])
         clearance = sure(plant_of(mover.cell).clearance)

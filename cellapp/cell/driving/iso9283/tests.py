@@ -538,7 +538,8 @@ class _Session:
         def begin() -> None:
             self.mover.hold()
             for q in (_run_up(trajectory.q), trajectory.q[0]):
-                drive_to(self.mover, {spec.arm: q}, {})
+                self.mover.go_home_unless_clear(spec.arm, q)
+                self.mover.move({spec.arm: q})
 
         interval_s = INTERVAL_S / (series or self.task.speed)  # as many points at each speed
         try:
