@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.driving.tracker_watch import TrackerMonitor, UnaskedTracker, Watch, unwatched, watched
+from cellapp.cell.driving.tracker_watch import TrackerMonitor, UnaskedTracker, Watch, unwatched
 from cellapp.cell.safety.gate import Gate, refuse_motion
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError, InputError
@@ -87,11 +87,6 @@ def answers_of_all(
     return answers, errors
 
 
-def asleep() -> float:
-    """Return 0, the age [s] of data while the job waits on purpose: its own waiting is not silence."""
-    return 0.0
-
-
 class JobPulse:
     """Time of the last sign of life of the job's thread, which writes it; any thread can read it without waiting."""
 
@@ -104,8 +99,11 @@ class JobPulse:
         self._beat_s = time.monotonic()
 
     @contextmanager
-    def waiting(self, age_s: Callable[[], float] = asleep) -> Iterator[None]:
-        """While this context is open, count the job as alive as its device: ``age_s`` returns the data's age [s]."""
+    def waiting(self, age_s: Callable[[], float] = lambda: 0.0) -> Iterator[None]:
+        """While this context is open, count the job as alive as its device: ``age_s`` returns the data's age [s].
+
+        By default that is 0: the job waits on purpose, and its own waiting is not silence.
+        """
         self.beat()
         self._waits_for = age_s
         try:
@@ -141,9 +139,9 @@ class Cell:
     arms: Mapping[str, Arm]
     tracker: Tracker
     clock: Clock
+    watch_tracker: Watch
     air: AirSensor | None = None
     together: Together = in_threads
-    watch_tracker: Watch = watched
     gate: Gate = refuse_motion
     tracker_unmet: tuple[str, ...] = ()
     pulse: JobPulse = field(default_factory=JobPulse)
@@ -199,15 +197,15 @@ def open_cell(profile: Profile, *, plant: Plant | None = None, control: JobContr
         control.check()
         if simulated is None:
             monitor = stack.enter_context(TrackerMonitor(tracker))
-            yield Cell(arms, monitor, RealClock(), air, tracker_unmet=unmet)
+            yield Cell(arms, monitor, RealClock(), monitor.watching, air, tracker_unmet=unmet)
         else:
             yield Cell(
                 arms,
                 tracker,
                 SimulatedClock(simulated),
+                partial(unwatched, tracker),
                 air,
                 together,
-                unwatched,
                 tracker_unmet=unmet,
                 plant=simulated,
                 record_sweep=partial(record_sweep, simulated, recorder_of(simulated)),
@@ -226,7 +224,8 @@ def open_arms(profile: Profile, control: JobControl, *, simulation: bool) -> Ite
     with ExitStack() as stack:
         stack.push(partial(_disconnect_all, arms, in_threads))
         _connect_all(arms, in_threads, control)
-        yield Cell(arms, UnaskedTracker(), RealClock(), watch_tracker=unwatched)
+        tracker = UnaskedTracker()
+        yield Cell(arms, tracker, RealClock(), partial(unwatched, tracker))
 
 
 def _needs_plant(profile: Profile) -> bool:

@@ -149,12 +149,13 @@ class _Checking:
 
     def _drive(self, wanted: Mapping[str, Readings]) -> dict[str, ArmState]:
         """Drive arms to readings of the calibration, with the last motion as then; else one of its direction."""
+        q = {name: its.q[0] for name, its in wanted.items()}
         signs = {name: its.approach[0].astype(np.float64) for name, its in wanted.items()}
         steps = {name: np.nan_to_num(its.step[0]) for name, its in wanted.items() if its.step is not None}
         if len(steps) == len(wanted):
             with suppress(MotionRefused):
-                return drive_to(self.mover, list(wanted), lambda name, start: wanted[name].q[0], steps, 1.0)
-        return drive_to(self.mover, list(wanted), lambda name, start: wanted[name].q[0], signs)
+                return drive_to(self.mover, q, steps, 1.0)
+        return drive_to(self.mover, q, signs)
 
     def _measure(self, number: int, states: Mapping[str, ArmState]) -> bool:
         """Measure the SMRs of arms that are at a stop together; return whether the test is decided then."""

@@ -83,7 +83,7 @@ class CollectSession:
         self._settings = profile.collection
         self._is_loaded = profile.loads > 1  # then each reading states its payload, and collecting never ends early
         self._queue = StopQueue(self.work)
-        self._supervisor = CellSupervisor(self.mover, self._record, self._emit, self._after_resume)
+        self._supervisor = CellSupervisor(self.mover, self._record, self._after_resume)
         self._references = References(
             self.run,
             self.number,

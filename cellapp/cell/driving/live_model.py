@@ -306,7 +306,7 @@ class _History:
 
     def push(self, found: Innovation | None, center_M: Array) -> None:
         """Add a stop; rotations are about ``center_M`` (3,) [m]."""
-        self.stops = np.roll(self.stops, 1)
+        self.stops[1:] = self.stops[:-1].copy()
         self.stops[0] = 0.0
         if found is None:
             return

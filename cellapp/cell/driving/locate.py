@@ -241,7 +241,7 @@ class _Measuring:
     def _go(self, name: str, q: Vector) -> ArmState:
         """Move one arm, the others at home, with a short last motion: effects that depend on it are known for those."""
         here = self.mover.positions()[name]
-        return drive_to(self.mover, [name], lambda name, start: q, {name: np.sign(q - here)})[name]
+        return drive_to(self.mover, {name: q}, {name: np.sign(q - here)})[name]
 
     def _lost_words(self, name: str) -> str:
         tried = f"{self._missed} SMRs in a row were not found, the last one of arm {name}"

@@ -158,7 +158,7 @@ def reading_of(point: PointAtRest, conditions: MeasurementConditions, **more: An
 
 
 class MotionRefused(CellappError):
-    """The gate refused a motion; nothing has moved."""
+    """A motion, or a command corrected by measuring, was refused; nothing has moved."""
 
     exit_code = 3
 
@@ -171,19 +171,11 @@ class Mover:
     """
 
     def __init__(
-        self,
-        profile: Profile,
-        cell: Cell,
-        bodies: CellBodies,
-        reaction: StopReaction,
-        control: JobControl,
-        emit: Callable[[Detail], None] = lambda detail: None,
+        self, profile: Profile, cell: Cell, bodies: CellBodies, reaction: StopReaction, control: JobControl
     ) -> None:
         self.profile, self.cell, self.bodies, self.reaction, self.control = profile, cell, bodies, reaction, control
         self.homes: Targets = home_positions(profile)
-        self.carried = {name: arm.payload for name, arm in profile.arms.items()}
-        """Payload of each arm according to the profile."""
-        self.emit = emit
+        self.emit: Callable[[Detail], None] = lambda detail: None
         self.approach = {name: np.zeros(len(arm.type.joints), dtype=np.int8) for name, arm in profile.arms.items()}
         """Arm -> sign of each joint's last motion (N,); 0 if the joint has not moved yet."""
         self._step: dict[str, Vector] = {}
@@ -313,7 +305,7 @@ class Mover:
         """
         self._record_foreign_steps(start)
         self.departure = dict(start)
-        with self.cell.watch_tracker(self.cell.tracker, self._tracker_died):
+        with self.cell.watch_tracker(self._tracker_died):
             self.ask_all({name: arm.confirm for name, arm in self.cell.arms.items()})
             begins = {name: start[name] for name in ends}
             self.emit(MotionBegun(self.stop, vectors(begins), vectors(ends), expected_s))
@@ -417,16 +409,17 @@ class Mover:
     def _record_foreign_steps(self, start: Mapping[str, Vector]) -> None:
         """Record motions since the last completed one of this object: interrupted ones, or of an arm moved by hand."""
         for name, q in start.items():
-            step = q - self._rested_at.get(name, q)
-            moved = np.abs(step) > MOVED_RAD
-            if moved.any():
-                self.approach[name] = np.where(moved, np.sign(step), self.approach[name]).astype(np.int8)
+            self._record_signs(name, q - self._rested_at.get(name, q))
+
+    def _record_signs(self, name: str, step: Vector) -> NDArray[np.bool_]:
+        """Record the signs of a motion (N,) [rad]; return which joints moved."""
+        moved = np.abs(step) > MOVED_RAD
+        self.approach[name] = np.where(moved, np.sign(step), self.approach[name]).astype(np.int8)
+        return moved
 
     def _record_step(self, name: str, start: Vector, commanded: Vector, reached: Vector) -> None:
         """Record the last motion of each joint. Raise ``CellStopped`` if the arm did not reach its target."""
-        step = commanded - start
-        moved = np.abs(step) > MOVED_RAD
-        self.approach[name] = np.where(moved, np.sign(step), self.approach[name]).astype(np.int8)
+        moved = self._record_signs(name, commanded - start)
         if moved.any() or name not in self._step:  # an arm that was already there keeps its last motion
             self._step[name] = np.where(moved, reached - start, 0.0)
         self._rested_at[name] = reached

@@ -20,7 +20,7 @@ from cellapp.ground.control import Aborted, JobControl, Stopped
 from cellapp.ground.errors import CellappError, HardwareError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Suspension
-from cellapp.ground.progress import ArmLive, Cancelled, CellLive, Detail, Halt, StateChange
+from cellapp.ground.progress import ArmLive, Cancelled, CellLive, Halt, StateChange
 from cellapp.robot.model import CellModel
 from drivers.clock import slept_s
 
@@ -116,7 +116,6 @@ class CellSupervisor:
 
     mover: Mover
     record: Record
-    emit: Callable[[Detail], None]
     after_resume: Callable[[], None]
     """Callback when a job resumes after a halt, a hold or a suspension."""
     _slept_s: float = field(default_factory=slept_s)
@@ -217,7 +216,7 @@ class CellSupervisor:
         """
         shown = tuple(shown)
         while True:
-            self.emit(StateChange("stopped", f"{reason}; resume when the cell is clear, or abort"))
+            self.mover.emit(StateChange("stopped", f"{reason}; resume when the cell is clear, or abort"))
             while self.mover.control.request in ("stop", "pause") and self.mover.reaction.causes == shown:
                 self.mover.attend()
             self.mover.control.check()
@@ -264,7 +263,7 @@ class CellSupervisor:
 
     def _say(self, kind: str, change: StateChange) -> None:
         self.record(kind, change.reason)
-        self.emit(change)
+        self.mover.emit(change)
 
 
 @contextmanager

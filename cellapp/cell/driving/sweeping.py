@@ -501,9 +501,8 @@ def drive_path(
         try:
             find_again(mover, name)
         except (TargetLost, WrongTarget) as error:
-            text = f"arm {name}: the beam broke while it followed a path, and its SMR is not found again: {error}"
-            text += "; look for what covers it, then begin again"
-            raise mover.stop_cell(StopCause("tracker", text, name)) from error
+            text = f"arm {name}: the beam broke while it followed a path, and its SMR is not found again: {error}; look"
+            raise mover.stop_cell(StopCause("tracker", f"{text} for what covers it, then begin again", name)) from error
     raise TargetLost(
         f"arm {name}: the beam broke each of the {counted(MOST_RUNS, 'time')} that this path was driven; it is not"
         " measured. Look for what crosses the beam along it"

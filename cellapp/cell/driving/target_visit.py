@@ -59,29 +59,38 @@ The second one is for arms that are close to something."""
 
 
 def drive_to(
-    mover: Mover, names: Sequence[str], command: CommandFrom, sides: Sides, step_rad: float = _STEPS_BACK_RAD[0]
+    mover: Mover,
+    targets: Targets,
+    sides: Sides,
+    step_rad: float = _STEPS_BACK_RAD[0],
+    command: CommandFrom | None = None,
 ) -> dict[str, ArmState]:
-    """Drive ``names`` to their commands from the given sides, the others home first. Return their states at rest.
+    """Drive arms to ``targets`` from the given sides, the others home first. Return their states at rest.
 
     The last motion of each joint is ``step_rad`` times its side [rad]. Only motions after which the arms can move home
-    again are allowed.
+    again are allowed. ``command`` returns what is sent to an arm instead of its target.
 
     Raises
     ------
     MotionRefused
-        If the gate accepts no way to the commands.
+        If the gate accepts no way to the targets.
     CellStopped
         As ``Mover.move``.
     """
-    q = mover.positions()
-    away = [name for name in q if name not in names and not mover.rests_at({name: mover.homes[name]})]
+    here = mover.positions()
+    away = [name for name in here if name not in targets and not mover.rests_at({name: mover.homes[name]})]
     if away:
         mover.go_home(away)
+
+    def drive(start: Targets) -> dict[str, ArmState]:
+        sent = targets if command is None else {name: command(name, start[name]) for name in targets}
+        return _drive(mover, sent, sides, step_rad)
+
     try:
-        return _drive(mover, {name: command(name, q[name]) for name in names}, sides, step_rad)
+        return drive(here)
     except MotionRefused:
-        mover.go_home(names)
-        return _drive(mover, {name: command(name, mover.homes[name]) for name in names}, sides, step_rad)
+        mover.go_home(list(targets))
+        return drive(mover.homes)
 
 
 def drive_back(mover: Mover, targets: Targets, sides: Sides) -> dict[str, ArmState]:
@@ -176,18 +185,18 @@ class TargetVisit:
 
     def _go(self, kind: CommandKind, found: Findings) -> tuple[States, Mapping[str, Vector]]:
         """Drive all arms of a target to their commands of one kind; return their states and the sent positions."""
-        sent: dict[str, Vector] = {}
-        sides = {} if kind == "nominal" else self._sides(found)
+        nominal = kind == "nominal"
+        q = {name: np.asarray(one.q_nominal if nominal else one.q_compensated) for name, one in found.commands.items()}
+        if nominal:
+            return drive_to(self.mover, q, {}), q
+        sides, sent = self._sides(found), dict[str, Vector]()
 
         def command(name: str, start: Vector) -> Vector:
-            one = found.commands[name]
-            sent[name] = np.asarray(one.q_nominal if kind == "nominal" else one.q_compensated)
-            if kind == "compensated":
-                here = arrival(sent[name], start, sides.get(name))
-                sent[name] = with_approach(self.model.arms[name], sent[name], here, one.conditions)
+            here = arrival(q[name], start, sides.get(name))
+            sent[name] = with_approach(self.model.arms[name], q[name], here, found.commands[name].conditions)
             return sent[name]
 
-        return drive_to(self.mover, list(found.commands), command, sides), sent
+        return drive_to(self.mover, q, sides, command=command), sent
 
     def _sides(self, found: Findings) -> dict[str, Vector]:
         """Return the sides from which arms arrive: as stated; else, if they matter to the model, those of the way.
@@ -267,7 +276,7 @@ class TargetVisit:
                 }
                 sent = {name: corrected.get(name, one.sent) for name, one in last.items()}
                 now = self._again(found, states, sent, names)
-            except (CorrectionRefused, MotionRefused) as error:
+            except MotionRefused as error:
                 found.note(names, str(error))
                 return
             before_M |= {name: last[name].noise_M for name in names}
@@ -323,10 +332,6 @@ _FINEST_M = 1e-6
 """Least standard deviation of a coordinate [m]: no arm positions better, and it keeps a zero covariance regular."""
 
 
-class CorrectionRefused(InputError):
-    """A correction was refused because it would be wrong; nothing has moved."""
-
-
 def corrected_command(arm: ArmModel, q: Array, error_M: Array, first_q: Array) -> Array:
     """Return the command (N,) [rad] that moves the SMR by ``-error_M`` (3,) [m] from where the command ``q`` puts it.
 
@@ -336,7 +341,7 @@ def corrected_command(arm: ArmModel, q: Array, error_M: Array, first_q: Array) -
 
     Raises
     ------
-    CorrectionRefused
+    MotionRefused
         If the model does not reach the shifted position, or the command is too far from the model's own.
     """
     rotation_M, _ = arm.flange(q[None])
@@ -345,11 +350,11 @@ def corrected_command(arm: ArmModel, q: Array, error_M: Array, first_q: Array) -
     if not reached[0] and arm.geometry.joints < _POSE:
         corrected, reached = invert_model(arm, aim_M, np.full((1, 3, 3), np.nan), q[None])
     if not reached[0]:
-        raise CorrectionRefused("correction refused: the calibrated model does not reach the corrected position")
+        raise MotionRefused("correction refused: the calibrated model does not reach the corrected position")
     far_m = float(np.linalg.norm(np.diff(arm.predict(np.stack([first_q, corrected[0]])), axis=0)))
     far_rad = float(np.abs(corrected[0] - first_q).max())
     if not (far_m <= FARTHEST_M and far_rad <= _FARTHEST_RAD):
-        raise CorrectionRefused(
+        raise MotionRefused(
             f"correction refused: it leads {far_m * 1e3:.1f} mm and {np.degrees(far_rad):.1f} deg from the model's"
             f" command, at most {FARTHEST_M * 1e3:.0f} mm and {np.degrees(_FARTHEST_RAD):.1f} deg are allowed; look at"
             " the SMR, its mount and the tracker"

@@ -29,8 +29,8 @@ from drivers.trackers.protocol import (
 
 Died = Callable[[str], None]
 """Callback with the reason, as a sentence, from any thread."""
-Watch = Callable[[Tracker, Died], AbstractContextManager[None]]
-"""Context that watches a tracker while it is open. A tracker that is dead already is reported before it opens."""
+Watch = Callable[[Died], AbstractContextManager[None]]
+"""Context that watches the tracker while it is open. A tracker that is dead already is reported before it opens."""
 
 CONFIRM_WITHIN_S = 0.3
 """Timeout [s] after which a tracker counts as dead while the arms move; over a network it answers in milliseconds."""
@@ -204,17 +204,6 @@ class TrackerMonitor:
             elif looks * _LOOK_S >= _SILENT_S:
                 self._report(f"tracker: no answer for {_SILENT_S:g} s while the arms moved")
                 return
-
-
-@contextmanager
-def watched(tracker: Tracker, died: Died) -> Iterator[None]:
-    """Watch a tracker while the arms move. If it is not a monitor, the caller must not call it in the meantime."""
-    if isinstance(tracker, TrackerMonitor):
-        with tracker.watching(died):
-            yield
-        return
-    with TrackerMonitor(tracker) as monitor, monitor.watching(died):
-        yield
 
 
 @contextmanager

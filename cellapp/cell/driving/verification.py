@@ -358,7 +358,7 @@ def predict_at_rest(model: CellModel, mover: Mover, name: str, state: ArmState, 
     if len(others) == 1:
         arm, other_q = model.arms[others[0]], mover.positions()[others[0]][None]
         moment = base_moment(arm.geometry, arm.bodies, other_q, arm.up_M)
-    carried = mover.carried[name]
+    carried = mover.profile.arms[name].payload
     known = state.payload_kg is not None and abs(state.payload_kg - carried.mass) <= SAME_PAYLOAD_KG
     conditions = replace(
         mover.conditions(name, state, -0.5 * point.averaging_s),

@@ -33,6 +33,7 @@ from drivers.clock import SimulatedClock
 from drivers.trackers.imperfections import Imperfections
 from drivers.trackers.protocol import StreamLimits
 from drivers.trackers.simulated import SimulatedTracker
+from tests.cell.driving.test_sweeping import copied
 from tests.crossed_beam import crossed_beam
 from tests.sure import sure
 from tests.twin import altered, plant_of, small_twin
@@ -68,22 +69,27 @@ def planned(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def swinging(planned: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The same plan, with the sweep of the left arm only, beside which the right one swings."""
-    folder = tmp_path_factory.mktemp("swinging") / "run"
-    folder.mkdir()
-    (folder / "run.sqlite").write_bytes((planned / "run.sqlite").read_bytes())
-    with RunFile.open(folder, write=True) as run:
+    with copied(planned, tmp_path_factory.mktemp("swinging")) as run:
         left, right = sorted(read_sweeps(run), key=lambda one: one.arm)
         beside = Swing.of("right", right.motion(np.zeros(6)).scaled(0.5))
         pair = left.model_copy(update={"beside": beside})
         assert refuse_sweep(cell_bodies(run.profile), pair.motions(at := read_planned_stops(run).targets(0)), at) == ""
         run.write_document(SWEEPS_RESULT, PlannedSweeps(sweeps=(pair,)).model_dump_json())
-    return folder
+        return run.folder
 
 
-def copied(planned: Path, folder: Path) -> RunFile:
-    (folder / "run").mkdir()
-    (folder / "run" / "run.sqlite").write_bytes((planned / "run.sqlite").read_bytes())
-    return RunFile.open(folder / "run", write=True)
+def two_seconds_after_it_sets_out(cell: Cell, name: str, act: Callable[[SimulatedArm], None]) -> SimulatedArm:
+    """Act on an arm while it follows its path; return the arm."""
+    arm = cell.arms[name]
+    assert isinstance(arm, SimulatedArm)
+    start, plant = arm.start_path, plant_of(cell)
+
+    def started(q: Any, period_s: float) -> None:
+        plant.schedule.at(plant.clock_s + 2.0, lambda: act(arm))
+        start(q, period_s)
+
+    arm.start_path = started  # type: ignore[method-assign]
+    return arm
 
 
 def driven_cell(errors: Imperfections = CLOCK, prepare: Callable[[Cell], Any] = lambda cell: None) -> Opened:
@@ -167,17 +173,9 @@ def test_a_lost_beam_slows_the_arm_down_and_the_rest_is_a_recording_of_its_own(
 
 def test_a_beam_that_stays_lost_ends_the_recording_and_the_arm_comes_back(planned: Path, tmp_path: Path) -> None:
     def prepare(cell: Cell) -> None:
-        arm = cell.arms["left"]
-        assert isinstance(arm, SimulatedArm)
-        start, plant = arm.start_path, plant_of(cell)
         tracker = cell.tracker
         assert isinstance(tracker, SimulatedTracker)
-
-        def started(q: Any, period_s: float) -> None:
-            plant.schedule.at(plant.clock_s + 2.0, lambda: tracker.covered.add("left"))
-            start(q, period_s)
-
-        arm.start_path = started  # type: ignore[method-assign]
+        two_seconds_after_it_sets_out(cell, "left", lambda arm: tracker.covered.add("left"))
 
     heard: list[Progress] = []
     with copied(planned, tmp_path) as run:
@@ -197,16 +195,7 @@ def test_a_fault_in_a_sweep_stops_all_and_resuming_records_what_is_missing(plann
     faults: list[ArmError] = []
 
     def prepare(cell: Cell) -> None:
-        arm = cell.arms["right"]
-        assert isinstance(arm, SimulatedArm)
-        start, plant = arm.start_path, plant_of(cell)
-
-        def started(q: Any, period_s: float) -> None:
-            plant.schedule.at(plant.clock_s + 2.0, arm.protective_stop)
-            start(q, period_s)
-
-        arm.start_path = started  # type: ignore[method-assign]
-        arm.watch(faults.append)
+        two_seconds_after_it_sets_out(cell, "right", SimulatedArm.protective_stop).watch(faults.append)
 
     with copied(planned, tmp_path) as run:
         with pytest.raises(HardwareError, match="protective stop"):

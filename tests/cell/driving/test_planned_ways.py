@@ -237,7 +237,7 @@ def test_nothing_moves_that_the_gate_refuses(
 def test_the_rest_of_a_real_arm_ends_on_cancellation() -> None:
     profile = small_twin(2)
     with open_cell(profile) as cell:
-        real = Cell(cell.arms, cell.tracker, RealClock())
+        real = replace(cell, clock=RealClock())
         reaction = StopReaction(cell.arms, cell.tracker, one_by_one)
         control = JobControl()
         mover = Mover(profile, real, cell_bodies(profile), reaction, control)

@@ -43,7 +43,7 @@ class Braking:
         self.listener: FaultListener = lambda error: None
         self.connected = 0
         self.reason = ""
-        self.unseen = False
+        self.unseen: ArmError | None = None
         self.refused = 0
 
     def watch(self, listener: FaultListener) -> None:
@@ -57,8 +57,8 @@ class Braking:
         self.may_go_on.wait(WITHIN_S)
 
     def stop(self) -> None:
-        if self.unseen:
-            raise LinkLost(f"arm {self.name}: not seen")
+        if self.unseen is not None:
+            raise self.unseen
 
     def connect(self) -> None:
         self.connected += 1
@@ -155,10 +155,13 @@ def test_a_fault_during_the_release_keeps_the_cell_stopped(
         reaction.release(reaction.causes)
 
 
-def test_arms_that_were_not_seen_at_rest_are_named(arms: dict[str, Braking]) -> None:
-    reaction = reaction_of(arms, Halted())
-    arms["right"].unseen = True
-    assert reaction.wait_at_rest() == {"right": "arm right: not seen"}
+NOT_SEEN = LinkLost("arm right: not seen")
+
+
+@pytest.mark.parametrize("error", [NOT_SEEN, ArmError("arm right: refused")])
+def test_arms_that_were_not_seen_at_rest_are_named_and_end_the_wait(arms: dict[str, Braking], error: ArmError) -> None:
+    arms["right"].unseen = error
+    assert reaction_of(arms, Halted()).wait_at_rest() == {"right": str(error)}
 
 
 def test_an_arm_is_watched_by_one_thread_and_in_simulated_time_by_none(
@@ -184,16 +187,6 @@ def test_an_arm_is_watched_by_one_thread_and_in_simulated_time_by_none(
     assert not watched.acquire(blocking=False)
 
 
-def test_a_driver_that_fails_unexpectedly_does_not_end_the_wait(
-    arms: dict[str, Braking], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse() -> None:
-        raise ArmError("arm left: refused")
-
-    monkeypatch.setattr(arms["left"], "stop", refuse)
-    assert reaction_of(arms, Halted()).wait_at_rest() == {"left": "arm left: refused"}
-
-
 def test_the_permission_of_every_arm_is_withdrawn_before_the_trigger_returns(arms: dict[str, Braking]) -> None:
     reaction = reaction_of(arms, Halted(), lambda calls: None)  # no thread has begun to brake yet
     reaction.trigger(StopCause("stop", "a person stopped the arms"))
@@ -211,7 +204,7 @@ def test_each_arm_is_watched_until_it_rests_without_the_job(arms: dict[str, Brak
             both.set()
 
     reaction = StopReaction(cast(dict[str, Arm], arms), cast(Tracker, Halted()), listener=note)
-    arms["right"].unseen = True
+    arms["right"].unseen = NOT_SEEN
     reaction.trigger(StopCause("stop", "a person stopped the arms"))
     assert both.wait(WITHIN_S)
     assert ended == {"left": "at rest", "right": "not seen at rest"}
@@ -220,12 +213,12 @@ def test_each_arm_is_watched_until_it_rests_without_the_job(arms: dict[str, Brak
 
 def test_an_arm_of_unknown_state_stays_so_until_it_is_seen(arms: dict[str, Braking]) -> None:
     reaction = reaction_of(arms, Halted(), one_by_one)
-    arms["right"].unseen = True
+    arms["right"].unseen = NOT_SEEN
     reaction.trigger(StopCause("stop", "a person stopped the arms"))
     reaction.wait_at_rest()
     reaction.trigger(StopCause("stop", "a person stopped the arms"))
     assert reaction.halts["right"].state == "not seen at rest", "another stop tells nothing about it"
-    arms["right"].unseen = False
+    arms["right"].unseen = None
     reaction.release(reaction.causes)
     assert reaction.halts == {}, "its controller reported that it rests when it was connected"
 
@@ -317,9 +310,13 @@ def test_a_damaged_file_is_no_job(folder: Path, text: str) -> None:
         assert "stopped" in ask_running_job(folder, "stop")
 
 
+def altered(folder: Path, **address: object) -> None:
+    """Write the job's file with another address."""
+    (folder / JOB_FILE).write_text(json.dumps(json.loads((folder / JOB_FILE).read_text()) | address))
+
+
 def test_a_stale_token_never_acts_on_a_later_job(folder: Path, job: JobControl, braked: list[str]) -> None:
-    address = json.loads((folder / JOB_FILE).read_text())
-    (folder / JOB_FILE).write_text(json.dumps({**address, "token": "of an earlier job"}))
+    altered(folder, token="of an earlier job")
     with pytest.raises(HardwareError, match="a job that runs holds it and does not answer; if an arm moves, press"):
         ask_running_job(folder, "stop")
     assert (job.request, braked) == ("none", [])
@@ -380,8 +377,7 @@ def test_another_account_neither_takes_a_job_for_none_nor_replaces_it(mode: int)
 
 
 def test_a_job_on_another_computer_is_named(folder: Path, job: JobControl) -> None:
-    address = json.loads((folder / JOB_FILE).read_text())
-    (folder / JOB_FILE).write_text(json.dumps({**address, "computer": "cell-pc"}))
+    altered(folder, computer="cell-pc")
     with pytest.raises(InputError, match="runs on computer 'cell-pc'"):
         ask_running_job(folder, "stop")
     assert job.request == "none"
@@ -411,8 +407,7 @@ def test_hostile_requests_change_nothing_and_delay_no_stop(folder: Path, job: Jo
 def test_a_job_that_listens_and_is_silent_is_a_fault(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("cellapp.ground.job_client.PATIENCE_S", 0.05)
     with taking_requests(folder, JobControl()), socket.create_server(("127.0.0.1", 0)) as mute:
-        address = json.loads((folder / JOB_FILE).read_text())
-        (folder / JOB_FILE).write_text(json.dumps({**address, "port": mute.getsockname()[1]}))
+        altered(folder, port=mute.getsockname()[1])
         with pytest.raises(HardwareError, match="press its emergency stop"):
             ask_running_job(folder, "stop")
 

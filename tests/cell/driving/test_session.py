@@ -253,11 +253,6 @@ def test_suspensions_are_bounded_and_reserves_take_the_place(bench: Bench) -> No
 
 
 def test_a_stalled_computer_resumes_only_where_the_profile_allows_it(bench: Bench) -> None:
-    def stall(bench: Bench) -> None:
-        arm = bench.arm("right")
-        arm._plant.stop("right")
-        arm._listener(HostStalled("arm right: this computer was silent for 0.4 s"))
-
     bench.before_measuring[6] = stall
     with pytest.raises(HardwareError, match=r"this computer was silent for 0.4 s; a stop was sent to all arms"):
         bench.collect()
@@ -300,16 +295,11 @@ def test_drift_above_the_limit_ends_the_session_and_a_person_may_accept_it(bench
     assert complete(bench)
 
 
-def test_repeats_stop_when_the_mean_is_precise_enough(bench: Bench) -> None:
-    practise(bench, repeat=Repeat(precision=1e-9, times=4))
+@pytest.mark.parametrize(("precision", "repeats"), [(1e-9, 4), (1e-3, 2)])
+def test_repeats_stop_when_the_mean_is_precise_enough(bench: Bench, precision: float, repeats: int) -> None:
+    practise(bench, repeat=Repeat(precision=precision, times=4))
     bench.collect()
-    assert bench.measured == 4 * 2 * STOPS
-
-
-def test_a_coarse_precision_takes_two(bench: Bench) -> None:
-    practise(bench, repeat=Repeat(precision=1e-3, times=4))
-    bench.collect()
-    assert bench.measured == 2 * 2 * STOPS
+    assert bench.measured == repeats * 2 * STOPS
 
 
 def test_stops_that_the_controller_forbids_are_left_out_before_anything_moves(

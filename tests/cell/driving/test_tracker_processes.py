@@ -13,7 +13,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from cellapp.cell.driving.tracker_watch import TrackerMonitor, watched
+from cellapp.cell.driving.tracker_watch import TrackerMonitor
 from drivers.trackers.bridge import BridgeTracker
 from tests.latency import attempts
 from tests.sure import sure
@@ -41,12 +41,12 @@ with TrackerService(There(), host=sys.argv[1]) as service:
 _WATCHER = """
 import sys
 import threading
-from cellapp.cell.driving.tracker_watch import TrackerMonitor, watched
+from cellapp.cell.driving.tracker_watch import TrackerMonitor
 from drivers.trackers.bridge import BridgeTracker
 
 tracker = BridgeTracker(sys.argv[1])
 tracker.connect()
-with TrackerMonitor(tracker) as monitor, watched(monitor, lambda reason: print(reason, flush=True)):
+with TrackerMonitor(tracker) as monitor, monitor.watching(lambda reason: print(reason, flush=True)):
     print("watching", flush=True)
     sys.stdin.readline()
 tracker.disconnect()
@@ -82,7 +82,7 @@ def test_a_bridge_that_dies_or_hangs_while_the_arms_move(how: signal.Signals, wi
         with process(BRIDGE, "127.0.0.1") as bridge:
             tracker = BridgeTracker(first_line(bridge))
             tracker.connect()
-            with TrackerMonitor(tracker) as monitor, watched(monitor, died.put):
+            with TrackerMonitor(tracker) as monitor, monitor.watching(died.put):
                 began_s = time.monotonic()
                 monitor.confirm(_PATIENT_S)
                 assert monitor.data_age_s() <= time.monotonic() - began_s

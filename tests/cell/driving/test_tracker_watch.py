@@ -14,7 +14,7 @@ import pytest
 
 from cellapp.cell.driving.live_model import Suspicions
 from cellapp.cell.driving.measuring import reference_jumps
-from cellapp.cell.driving.tracker_watch import TrackerMonitor, unwatched, watched
+from cellapp.cell.driving.tracker_watch import TrackerMonitor, unwatched
 from cellapp.estimation.calibration.online import OnlineFit
 from cellapp.ground.progress import Suspicion
 from cellapp.robot.kinematics.transforms import rotation_from_vector
@@ -75,7 +75,7 @@ def is_lost() -> None:
 def test_a_link_lost_while_the_arms_move_is_reported_at_once_and_once() -> None:
     for took in attempts(reported=0.5):
         tracker, died = Answering(), queue.SimpleQueue[str]()
-        with watched(as_tracker(tracker), died.put):
+        with TrackerMonitor(as_tracker(tracker)) as monitor, monitor.watching(died.put):
             tracker.answer = is_lost
             began_s = time.monotonic()
             assert died.get(timeout=_PATIENT_S) == "tracker: the link is cut"
@@ -92,16 +92,15 @@ def test_a_tracker_that_is_not_confirmed_is_reported_before_the_arms_move(error:
     def fails() -> None:
         raise error
 
-    for watch in (watched, unwatched):
-        died: list[str] = []
-        with watch(as_tracker(Answering(fails)), died.append):
-            assert died == [str(error)]
+    tracker, died = as_tracker(Answering(fails)), list[str]()
+    with unwatched(tracker, died.append), TrackerMonitor(tracker) as monitor, monitor.watching(died.append):
+        assert died == [str(error)] * 2
 
 
 def test_silence_is_reported_while_the_question_still_hangs() -> None:
     for took in attempts(reported=1.0):
         hanging, tracker, died = threading.Event(), Answering(), queue.SimpleQueue[str]()
-        with watched(as_tracker(tracker), died.put):
+        with TrackerMonitor(as_tracker(tracker)) as monitor, monitor.watching(died.put):
             tracker.answer = partial(hanging.wait, _PATIENT_S)
             began_s = time.monotonic()
             assert died.get(timeout=_PATIENT_S) == "tracker: no answer for 0.4 s while the arms moved"
@@ -123,7 +122,7 @@ def test_questions_and_calls_never_overlap_and_both_go_on() -> None:
 
 def test_a_call_of_the_job_is_no_silence() -> None:
     tracker, died = Answering(), queue.SimpleQueue[str]()
-    with TrackerMonitor(as_tracker(tracker)) as monitor, watched(monitor, died.put):
+    with TrackerMonitor(as_tracker(tracker)) as monitor, monitor.watching(died.put):
         tracker.unmet = slept(0.8)  # type: ignore[method-assign]
         monitor.unmet()
     assert died.empty()
@@ -132,15 +131,15 @@ def test_a_call_of_the_job_is_no_silence() -> None:
 def test_a_silent_tracker_at_rest_is_seen_only_and_reported_at_the_next_motion() -> None:
     tracker, died = Answering(), queue.SimpleQueue[str]()
     with TrackerMonitor(as_tracker(tracker)) as monitor:
-        with watched(monitor, died.put):
+        with monitor.watching(died.put):
             assert tracker.asked.acquire(timeout=_PATIENT_S)
         tracker.answer = is_lost
         assert not tracker.asked.acquire(timeout=0.6)
         assert died.empty()
-        with watched(monitor, died.put):
+        with monitor.watching(died.put):
             assert died.get(timeout=0.0) == "tracker: the link is cut"
         tracker.answer = lambda: None
-        with watched(monitor, died.put):
+        with monitor.watching(died.put):
             assert died.empty()
 
 

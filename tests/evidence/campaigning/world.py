@@ -154,9 +154,9 @@ class World:
                 arms,
                 tracker,
                 HoldingClock(self.plant, self.person),
+                partial(self._watched, tracker),
                 air,
                 together=one_by_one,
-                watch_tracker=self._watched,
                 tracker_unmet=unmet,
                 gate=self._gate,
             )

@@ -355,10 +355,10 @@ class CubeSearch:
         steps, first = found
         corner = np.array(first) + low
         centre = region.origin_B + region.step * (corner + 0.5 * steps)
-        inside = [key for key in region.q if all(c <= k <= c + steps for c, k in zip(corner, key, strict=True))]
-        middle = min(inside, key=lambda key: float(np.abs(np.array(key) - corner - 0.5 * steps).max()))
-        q, reached = _solve(region, centre[None], region.q[middle][None])
-        at = q[0] if reached[0] else region.q[middle]
+        middle = int(np.abs(keys - corner - 0.5 * steps).max(axis=1).argmin())
+        near = list(region.q.values())[middle]
+        q, reached = _solve(region, centre[None], near[None])
+        at = q[0] if reached[0] else near
         return FoundCube(region, steps * region.step, centre, at, _limits_beside(region, corner, steps))
 
     def _enlarged(self, cube: FoundCube) -> FoundCube:

@@ -73,7 +73,7 @@ from cellapp.robot.kinematics.transforms import Array, rpy_of, xyz_of
 from cellapp.robot.model import CellModel
 from cellapp.robot.paths.cartesian import CartesianPath
 from cellapp.robot.paths.joint_path import Trajectory
-from drivers.arms.protocol import ArmState, PathFollower
+from drivers.arms.protocol import PathFollower
 from drivers.trackers.protocol import NotReady, Point, TrackerError, stream_of
 
 _ENDED = "the job ended before"
@@ -371,7 +371,6 @@ class _Session:
     findings: IsoFindings
     mover: Mover
     total: int = 1
-    _done: int = 0
     _missed: int = 0
 
     # -- before the tests ----------------------------------------------------------------------------------------------
@@ -388,7 +387,7 @@ class _Session:
                 self.mover.control.tell("find base", done, len(q), f"arm {name}")
                 self.mover.hold()
                 try:
-                    state = self._drive({name: target})[name]
+                    state = drive_to(self.mover, {name: target}, {})[name]
                     points.append(self._at_rest(name, state.q))
                     reached.append(state.q)
                 except (MotionRefused, TrackerError) as error:
@@ -411,7 +410,16 @@ class _Session:
                 continue
             found.cubes[name] = chosen
             for kind in self.task.commands:
-                programme = self._programme(name, kind)
+                programme = arm_programme(
+                    model,
+                    name,
+                    chosen,
+                    kind,
+                    self.mover.homes,
+                    rested_s=DWELL_S + 0.5 * profile.tracker.averaging,
+                    payload_kg=profile.arms[name].payload.mass,
+                    alignment=found.alignments.get(name),
+                )
                 if isinstance(programme, str):
                     found.notes.append(f"arm {name}: no {kind} commands: {programme}")
                 else:
@@ -423,20 +431,6 @@ class _Session:
                 found.notes.append(
                     f"arms {first} and {second}: {len(pairs)} of {len(POSES)} pairs of poses can be measured"
                 )
-
-    def _programme(self, name: str, kind: IsoCommands) -> ArmProgramme | str:
-        """Return an arm's commands in its cube, or why there are none."""
-        assert self.findings.model is not None
-        return arm_programme(
-            self.findings.model,
-            name,
-            self.findings.cubes[name],
-            kind,
-            self.mover.homes,
-            rested_s=DWELL_S + 0.5 * self.task.profile.tracker.averaging,
-            payload_kg=self.task.profile.arms[name].payload.mass,
-            alignment=self.findings.alignments.get(name),
-        )
 
     # -- the tests -----------------------------------------------------------------------------------------------------
 
@@ -454,9 +448,14 @@ class _Session:
         if "drift" in tests:
             for name in self.findings.cubes:
                 self._drift(name)
+        done = 0
         for share, visits in series.items():
             self.mover.speed = share or self.task.speed
-            self._visit_all(visits)
+            for visit in visits:
+                place = "" if visit.place is None else str(visit.place)
+                self.mover.control.tell("iso9283", done, self.total, place)
+                self._visit(visit)
+                done += 1
             if "path" in tests:
                 self._paths(share)
         self.mover.speed = self.task.speed
@@ -474,17 +473,6 @@ class _Session:
             moving_s = visits_s(profile, [one.targets for one in visits], DWELL_S)
             total += moving_s + path_s / (share or self.task.speed)
         return float(total)
-
-    def _last_programme(self, name: str) -> ArmProgramme | None:
-        """Return the commands of an arm, those of the calibrated model if available; None if there are none."""
-        kinds = [kind for kind in self.task.commands if (name, kind) in self.findings.programmes]
-        return self.findings.programmes[name, kinds[-1]] if kinds else None
-
-    def _visit_all(self, visits: Sequence[Visit]) -> None:
-        for visit in visits:
-            self.mover.control.tell("iso9283", self._done, self.total, "" if visit.place is None else str(visit.place))
-            self._visit(visit)
-            self._done += 1
 
     def _poses_at(self, share: float) -> list[Visit]:
         """Return the visits of the pose test at another fraction of the speed."""
@@ -587,9 +575,10 @@ class _Session:
 
     def _drift(self, name: str) -> None:
         """Measure groups of cycles over the requested time; between groups the arm keeps moving as in the cycles."""
-        programme = self._last_programme(name)
-        if programme is None:
+        kinds = [kind for kind in self.task.commands if (name, kind) in self.findings.programmes]
+        if not kinds:
             return
+        programme = self.findings.programmes[name, kinds[-1]]  # of the calibrated model if there are any
         cycles, limit_s = wanted_cycles("drift", self.task.cycles), self.task.drift_s
         self.findings.wanted[programme.place("drift", "P1")] = cycles
         began_s, group = self.mover.cell.clock.now_s(), 0
@@ -612,7 +601,7 @@ class _Session:
         """Drive to a visit's targets; measure if it has a place; record why a measurement is missing."""
         self.mover.hold()
         try:
-            states = self._drive(visit.targets)
+            states = drive_to(self.mover, visit.targets, {})
             if visit.place is None:
                 return
             points = {name: self._at_rest(name, states[name].q) for name in visit.targets}
@@ -634,9 +623,6 @@ class _Session:
                 orientations={name: its for name, point in points.items() if (its := point.orientation) is not None},
             )
         )
-
-    def _drive(self, targets: Mapping[str, Vector]) -> Mapping[str, ArmState]:
-        return drive_to(self.mover, list(targets), lambda name, start: targets[name], {})
 
     def _at_rest(self, name: str, q: Vector) -> Point:
         self.mover.rest(name, DWELL_S)
