@@ -385,10 +385,10 @@ def jacobian(geometry: Geometry, angles: JointAngles, columns: tuple[int, ...]) 
     for x, y, z in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         J[rotates, x] = axes[:, y] * lever[:, z] - axes[:, z] * lever[:, y]
     J[of_probe] = 0.0  # a probe turns about its own origin
-    if angles.R_M_S is not None:
-        angular = angles.angular
+    angular = angles.angular
+    if angular is not None:
         J[:, :, angular] = 0.0
-        J[np.ix_(rotates, range(3), angular)] = axes[:, :, angular]
+        J[np.ix_(np.flatnonzero(rotates), np.arange(3), np.flatnonzero(angular))] = axes[:, :, angular]
     return P, J.swapaxes(0, 1)
 
 
