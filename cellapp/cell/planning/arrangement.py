@@ -45,11 +45,6 @@ class StopSet:
     cell: CellBodies
     q: Mapping[str, Array]
 
-    @cached_property
-    def names(self) -> tuple[str, ...]:
-        """The arms."""
-        return tuple(self.q)
-
     @property
     def size(self) -> int:
         """Number of stops of each arm."""
@@ -80,13 +75,13 @@ class StopSet:
         here, there = self.at(start), self.at(end)
         return np.asarray(np.max([motion_s(self.profile.arms[one], there[one] - here[one]) for one in here], axis=0))
 
-    def arm_times_s(self, arm: int, rows: Rows) -> Array:
+    def arm_times_s(self, name: str, rows: Rows) -> Array:
         """Compute the time of an arm alone between all pairs of the stops ``rows`` (m,), shape (m, m) [s].
 
         Motions on which the arm alone is not clear get the time of a mean step more: a detour costs about that. Motions
         that take longer than a mean step are not checked.
         """
-        name, cell = self.names[arm], self.cell_of_ways
+        cell = self.cell_of_ways
         q, m = self.q[name][rows], len(rows)
         i, k = np.triu_indices(m, 1)
         way = q[k] - q[i]
@@ -100,17 +95,16 @@ class StopSet:
         times[i, k] = times[k, i] = seconds + np.where(free, 0.0, self.usual_step_s)
         return times
 
-    def compatible_stops(self, first: int, second: int, rows: Rows, partners: Rows) -> NDArray[np.bool_]:
+    def compatible_stops(self, first: str, second: str, rows: Rows, partners: Rows) -> NDArray[np.bool_]:
         """Return whether arm ``first`` is clear and visible at ``rows`` (m,) while ``second`` is at ``partners`` (p,).
 
         Returns
         -------
         array, shape (m, p), bool
         """
-        a, b = self.names[first], self.names[second]
-        two = replace(self.cell, arms={name: self.cell.arms[name] for name in (a, b)})
+        two = replace(self.cell, arms={name: self.cell.arms[name] for name in (first, second)})
         pair = with_margin_for_ways(two, between_arms=True)
-        return clear_pairs(pair, (a, self.q[a][rows]), (b, self.q[b][partners]))
+        return clear_pairs(pair, (first, self.q[first][rows]), (second, self.q[second][partners]))
 
 
 _STOPS_PER_BLOCK = 100
@@ -155,17 +149,12 @@ class Arrangement:
     repeat_of: NDArray[np.intp]
 
     def taken(self, source: NDArray[np.intp]) -> Arrangement:
-        """Reorder the stops, or select some of them; ``source`` holds their current places.
-
-        Of two visits the later one becomes the repeat.
-        """
-        place = np.full(self.rows.shape[1] + 1, -1, dtype=np.intp)
-        place[source] = np.arange(len(source))
+        """Reorder the stops; ``source`` holds their current places. Of two visits the later one becomes the repeat."""
+        place = np.argsort(source)
         repeat_of = np.full(len(source), -1, dtype=np.intp)
-        for copy in np.flatnonzero(self.repeat_of >= 0).tolist():
-            first, second = sorted((int(place[copy]), int(place[self.repeat_of[copy]])))
-            if first >= 0:
-                repeat_of[second] = first
+        copies = np.flatnonzero(self.repeat_of >= 0)
+        visits = np.sort(place[[copies, self.repeat_of[copies]]], axis=0)
+        repeat_of[visits[1]] = visits[0]
         return Arrangement(self.rows[:, source], self.block[source], repeat_of)
 
 
@@ -185,8 +174,8 @@ def arrange(stops: StopSet, blocks: int, repeats: int, rng: np.random.Generator,
     time_s = np.zeros((*members.shape, members.shape[2]))
     for block, size in enumerate(sizes.tolist()):
         job.check()
-        for arm, of_arm in enumerate(members):
-            time_s[arm, block, :size, :size] = stops.arm_times_s(arm, of_arm[block, :size])
+        for arm, name in enumerate(stops.q):
+            time_s[arm, block, :size, :size] = stops.arm_times_s(name, members[arm, block, :size])
     task = TourTask(
         sizes,
         time_s,
@@ -213,11 +202,11 @@ def _members(block: NDArray[np.intp], sizes: NDArray[np.intp]) -> NDArray[np.int
 
 def _pair_cost(stops: StopSet, members: Order, sizes: NDArray[np.intp]) -> Array:
     """Compute the cost of incompatible pairs of two arms' stops (pairs of arms, B, m, m) [s]; 0 for others."""
-    pairs, m = list(combinations(range(len(stops.q)), 2)), members.shape[2]
+    pairs, m = list(combinations(zip(stops.q, members, strict=True), 2)), members.shape[2]
     cost = np.zeros((len(pairs), len(sizes), m, m))
-    for number, (first, second) in enumerate(pairs):
+    for number, ((first, of_first), (second, of_second)) in enumerate(pairs):
         for block, size in enumerate(sizes.tolist()):
-            allowed = stops.compatible_stops(first, second, members[first, block, :size], members[second, block, :size])
+            allowed = stops.compatible_stops(first, second, of_first[block, :size], of_second[block, :size])
             cost[number, block, :size, :size] = np.where(allowed, 0.0, _FORBIDDEN_STEPS * stops.usual_step_s)
     return cost
 

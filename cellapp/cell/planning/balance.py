@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.planning.planned_stops import PlannedStops, home_s, stop_times_of
+from cellapp.cell.planning.planned_stops import PlannedStops, route_s, stop_times_of
 from cellapp.cell.planning.records import FactorCorrelation, TravelTime
-from cellapp.cell.planning.transit_paths import TransitPath, TransitPlanner
+from cellapp.cell.planning.transit_paths import TransitPlanner
 from cellapp.cell.safety.gate import CellBodies
 from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.chain import frame_poses
@@ -414,19 +414,16 @@ def correlations(profile: Profile, cell: CellBodies, stops: PlannedStops) -> tup
     return tuple(found)
 
 
-def travel_time(profile: Profile, stops: PlannedStops, finder: TransitPlanner, rng: np.random.Generator) -> TravelTime:
+def travel_time(stops: PlannedStops, finder: TransitPlanner, rng: np.random.Generator) -> TravelTime:
     """Compute the time in motion of a plan, and of the same pairs, approaches and dwells in random order.
 
     In random order, too, the gate refuses some straight motions; the time of their detours is estimated from a sample.
     """
-    straight = replace(stops, legs=((),) * len(stops))
-    random_s = []
-    for _ in range(_RANDOM_ORDERS):
-        order = straight.take(rng.permutation(len(stops)))
-        random_s.append(float(stop_times_of(profile, order).moving_s.sum()) + home_s(profile, order))
-    planned_s = float(stop_times_of(profile, stops).moving_s.sum()) + home_s(profile, stops)
+    profile, straight = finder.profile, replace(stops, legs=((),) * len(stops))
+    orders = (straight.take(rng.permutation(len(stops))) for _ in range(_RANDOM_ORDERS))
+    random_s = float(np.mean([stop_times_of(profile, order).travel_s for order in orders]))
     detours_s = len(stops) * _added_by_a_detour_s(stops, finder, rng)
-    return TravelTime(planned_s=planned_s, random_order_s=float(np.mean(random_s)) + detours_s)
+    return TravelTime(planned_s=stop_times_of(profile, stops).travel_s, random_order_s=random_s + detours_s)
 
 
 def _added_by_a_detour_s(stops: PlannedStops, finder: TransitPlanner, rng: np.random.Generator) -> float:
@@ -439,9 +436,10 @@ def _added_by_a_detour_s(stops: PlannedStops, finder: TransitPlanner, rng: np.ra
     finder.gate.ask(motions)
     added = []
     for here, there in motions:
-        way = finder.find(here, there)
-        if isinstance(way, TransitPath):
-            added.append(way.seconds - finder.seconds(here, there))
+        legs = finder.find(here, there)
+        if not isinstance(legs, str):
+            straight_s = route_s(finder.profile, here, (there,))
+            added.append(route_s(finder.profile, here, (*legs, there)) - straight_s)
     return float(np.mean(added)) if added else 0.0
 
 

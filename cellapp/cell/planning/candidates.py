@@ -10,7 +10,6 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.planning.records import ConstraintShare
 from cellapp.cell.safety.bodies import (
     AZIMUTH,
     ELEVATION,
@@ -60,8 +59,6 @@ class CandidatePool:
     ----------
     q : array, shape (m, N)
         Joint positions [rad].
-    incidence : array, shape (m,)
-        Angle between beam and viewing direction of the SMR [rad].
     sampled : int
         Configurations sampled to find them.
     rejected : mapping
@@ -70,7 +67,6 @@ class CandidatePool:
     """
 
     q: Array
-    incidence: Array
     sampled: int
     rejected: Mapping[str, int]
 
@@ -103,10 +99,9 @@ def sample_pool(
         number, sampled = number + len(found[-1].q), sampled + found[-1].sampled
     if number < min(count, profile.plan.stops + profile.plan.reserve):
         raise InputError(shortage(cell, profile, name, number, sampled))
-    order = rng.permutation(number)[:count]
-    q, incidence = (np.concatenate([getattr(one, part) for one in found])[order] for part in ("q", "incidence"))
+    q = np.concatenate([one.q for one in found])[rng.permutation(number)[:count]]
     rejected = {constraint: sum(one.rejected[constraint] for one in found) for constraint in found[0].rejected}
-    return CandidatePool(q, incidence, sampled, rejected)
+    return CandidatePool(q, sampled, rejected)
 
 
 def random_configurations(
@@ -223,7 +218,7 @@ def _usable(
     for constraint, margin in body_margins(cell, field, name).items():
         clear = margin(placed) > 0.0  # not for NaN
         rows, placed = only(constraint, clear), placed.take(clear)
-    return CandidatePool(q[rows], sight.incidence[rows], sampled, rejected)
+    return CandidatePool(q[rows], sampled, rejected)
 
 
 def _field(cell: CellBodies, name: str) -> TrackerField:
@@ -297,27 +292,9 @@ _ADVICE: Mapping[str, str] = {
 
 
 def shortage(cell: CellBodies, profile: Profile, name: str, found: int, sampled: int) -> str:
-    """Compose one message: how few configurations of an arm are usable, which constraint excludes most, what helps."""
-    asked = f", {profile.plan.stops + profile.plan.reserve} are needed" if found else ""
-    first, second = exclusions(cell, profile, name)[:2]
-    subject, next_one = (_SUBJECTS.get(one.constraint, one.constraint) for one in (first, second))
-    if first.without > 0.0:
-        besides = f"Without it {_percent(first.without)} could be measured."
-    else:
-        besides = f"No other constraint decides alone; next, {next_one} excludes {_percent(second.alone)}."
-    return (
-        f"plan: arm {name}: {found or 'none'} of {sampled} random configurations can be measured{asked}. Most are"
-        f" excluded by {subject} ({_percent(first.alone)}): {first.extent}. {besides} What helps: {first.advice}"
-    )
+    """Compose one message: how few configurations of an arm are usable, which constraint excludes most, what helps.
 
-
-def exclusions(cell: CellBodies, profile: Profile, name: str) -> tuple[ConstraintShare, ...]:
-    """Compute what each constraint excludes; first the one without which most configurations could be measured.
-
-    Raises
-    ------
-    InputError
-        If the cell has no tracker.
+    The first constraint is the one without which most configurations could be measured.
     """
     arm, field, (low, high) = cell.arms[name], _field(cell, name), joint_ranges(cell, profile, name).T
     placed = place(arm, np.random.default_rng(_SEED).uniform(low, high, size=(_EXAMINED, len(low))))
@@ -325,31 +302,32 @@ def exclusions(cell: CellBodies, profile: Profile, name: str) -> tuple[Constrain
     examined = _sight_examined(field, sight, arm.acceptance)
     for constraint, margin in body_margins(cell, field, name).items():
         metres = margin(placed)
-        examined.append(_Examined(constraint, metres > 0.0, -1e3 * metres, "mm"))
-    failed = np.sum([~one.holds for one in examined], axis=0)
-    found = []
-    for one in examined:
-        fails = ~one.holds
-        decisive = fails & (failed == 1)
-        extent = _extent(field, one, sight, decisive if decisive.any() else fails)
-        found.append(
-            ConstraintShare(
-                constraint=one.name,
-                alone=float(fails.mean()),
-                without=float((failed == fails).mean()),
-                extent=extent,
-                advice=_ADVICE.get(one.name, f"move the {one.name.removesuffix(' in the beam')} or the tracker"),
-            )
-        )
-    return tuple(sorted(found, key=lambda one: (one.without, one.alone), reverse=True))
+        examined.append(_Examined(constraint, ~(metres > 0.0), -1e3 * metres, "mm"))
+    failed = np.sum([one.fails for one in examined], axis=0)
+    shares = [(float((failed == one.fails).mean()), float(one.fails.mean())) for one in examined]
+    first, second = sorted(range(len(examined)), key=shares.__getitem__, reverse=True)[:2]
+    (without, alone), worst = shares[first], examined[first]
+    decisive = worst.fails & (failed == 1)
+    extent = _extent(field, worst, sight, decisive if decisive.any() else worst.fails)
+    subject, next_one = (_SUBJECTS.get(examined[k].name, examined[k].name) for k in (first, second))
+    advice = _ADVICE.get(worst.name, f"move the {worst.name.removesuffix(' in the beam')} or the tracker")
+    asked = f", {profile.plan.stops + profile.plan.reserve} are needed" if found else ""
+    if without > 0.0:
+        besides = f"Without it {_percent(without)} could be measured."
+    else:
+        besides = f"No other constraint decides alone; next, {next_one} excludes {_percent(shares[second][1])}."
+    return (
+        f"plan: arm {name}: {found or 'none'} of {sampled} random configurations can be measured{asked}. Most are"
+        f" excluded by {subject} ({_percent(alone)}): {extent}. {besides} What helps: {advice}"
+    )
 
 
 @dataclass(frozen=True, eq=False)
 class _Examined:
-    """One constraint at n configurations: where it holds (n,), and by how much it is missed (n,) in ``unit``."""
+    """One constraint at n configurations: where it fails (n,), and by how much it is missed (n,) in ``unit``."""
 
     name: str
-    holds: NDArray[np.bool_]
+    fails: NDArray[np.bool_]
     missed: Array
     unit: str
 
@@ -367,7 +345,7 @@ def _sight_examined(field: TrackerField, sight: Sight, acceptance: float) -> lis
         ELEVATION: (np.degrees(np.maximum(lowest - elevation, elevation - highest)), "deg"),
         FACING: (np.degrees(sight.incidence - usable_acceptance(acceptance)), "deg"),
     }
-    return [_Examined(name, holds, *missed[name]) for name, holds in sight_conditions(field, acceptance, sight)]
+    return [_Examined(name, ~holds, *missed[name]) for name, holds in sight_conditions(field, acceptance, sight)]
 
 
 def _extent(field: TrackerField, one: _Examined, sight: Sight, rows: NDArray[np.bool_]) -> str:
@@ -394,11 +372,9 @@ def _by_how_much(one: _Examined, rows: NDArray[np.bool_]) -> str:
     nearest, half = float(np.min(one.missed[rows])), float(np.median(one.missed[rows]))
     if not math.isfinite(nearest):
         return "it hides the SMR"
-    return (
-        f"half miss by {half:.0f} {one.unit} or more"
-        if one.holds.any()
-        else f"the nearest misses by {nearest:.0f} {one.unit}"
-    )
+    if one.fails.all():
+        return f"the nearest misses by {nearest:.0f} {one.unit}"
+    return f"half miss by {half:.0f} {one.unit} or more"
 
 
 def _span(values: Array, number_format: str) -> str:

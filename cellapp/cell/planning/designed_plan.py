@@ -14,13 +14,14 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 from itertools import islice
-from typing import TypeVar, get_args
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cellapp.cell.planning.balance import correlations, travel_time
 from cellapp.cell.planning.candidates import (
     COMBINED,
     CandidatePool,
@@ -29,8 +30,8 @@ from cellapp.cell.planning.candidates import (
     workspace_configurations,
 )
 from cellapp.cell.planning.information import InformationModel, even_conditions, information_model, sampled_conditions
-from cellapp.cell.planning.planned_stops import PlannedStops, joined_after
-from cellapp.cell.planning.records import ArmDesign, ErrorName, ObservabilityIndices, PlanQuality
+from cellapp.cell.planning.planned_stops import PlannedStops, joined_after, without_reserves
+from cellapp.cell.planning.records import ArmDesign, ErrorName, ObservabilityIndices, PlanDesignResult, PlanQuality
 from cellapp.cell.planning.sequence import nearest_turns, sequenced
 from cellapp.cell.planning.transit_paths import ArmRoadmap, TransitPlanner
 from cellapp.cell.safety.cell_bodies import cell_bodies
@@ -58,6 +59,7 @@ from cellapp.ground.threads import one_blas_thread
 from cellapp.robot.kinematics.transforms import Array
 
 _SEED = 0xDE51
+_COMPARED_SEED = 0xDE52
 _SPARE_SHARE = 0.05
 """Share of stops chosen in reserve: in a crowded cell about one chosen stop in fifty cannot be reached."""
 _LEAST_SPARES = 8
@@ -71,20 +73,10 @@ _FEW_HARD = 0.02
 """Share of these up to which the others are not checked: spare stops replace the few hard ones that are chosen."""
 
 
-@dataclass(frozen=True, eq=False)
-class DesignedStops:
-    """A designed plan, why each chosen stop that is missing was given up, candidates by arm, the path planner."""
-
-    stops: PlannedStops
-    given_up: tuple[str, ...]
-    pools: Mapping[str, CandidatePool]
-    finder: TransitPlanner
-
-
 def design_stops(
     profile: Profile, count: int, job: JobToken = UNATTENDED, kept: PlannedStops | None = None
-) -> DesignedStops:
-    """Design ``count`` informative stops in a safe order, after those that are ``kept``.
+) -> tuple[PlannedStops, PlanDesignResult]:
+    """Design ``count`` informative stops in a safe order, after those that are ``kept``, and describe the design.
 
     Parameters
     ----------
@@ -115,12 +107,40 @@ def design_stops(
     spares = max(_LEAST_SPARES, math.ceil(_SPARE_SHARE * count))  # for stops that cannot be reached from the others
     rows = select_stops(profile, pools, count + spares, rng, job, None if kept is None else kept.q)
     chosen = {name: pool.q[rows[name]] for name, pool in pools.items()}
-    return DesignedStops(*_in_order(profile, cell, chosen, count, kept, finder, rng, job), pools, finder)
+    stops, given_up = _in_order(chosen, count, kept, finder, rng, job)
+    return stops, _described(stops, given_up, pools, finder, job)
+
+
+def _described(
+    stops: PlannedStops,
+    given_up: tuple[str, ...],
+    pools: Mapping[str, CandidatePool],
+    finder: TransitPlanner,
+    job: JobToken,
+) -> PlanDesignResult:
+    """Compare the asked stops of a plan with random ones of the same number; reserves do not count."""
+    profile = finder.profile
+    rng = np.random.default_rng([profile.seed, _COMPARED_SEED])
+    asked = without_reserves(profile, stops)
+
+    def compare(name: str, own_rng: np.random.Generator) -> ArmDesign:
+        return arm_design(profile, pools[name], name, asked.q, own_rng, job=job)
+
+    job.tell("compare", 0, len(pools), "with random stops")
+    arms = of_each_arm(compare, pools, rng)
+    job.tell("compare", len(pools), len(pools), "done")
+    return PlanDesignResult(
+        arms=arms,
+        correlations=correlations(profile, finder.cell, asked),
+        travel=travel_time(asked, finder, rng),
+        detours=sum(bool(legs) for legs in asked.legs),
+        blocks=len(np.unique(asked.block)),
+        repeats=int(np.sum(asked.repeat_of >= 0)),
+        notes=given_up,
+    )
 
 
 def _in_order(
-    profile: Profile,
-    cell: CellBodies,
     chosen: Mapping[str, Array],
     count: int,
     kept: PlannedStops | None,
@@ -133,22 +153,19 @@ def _in_order(
     Spare stops replace those that cannot be reached. Raises ``InputError`` if fewer than the asked stops can be
     reached.
     """
-    stops = kept
-    given_up: list[str] = []
-    first = 0
-    wanted = count + (0 if kept is None else len(kept))
-    later = profile.plan.model_copy(update={"repeats": 0})
-    for plan in (profile.plan, *[later] * _ROUNDS):
-        missing = wanted - (0 if stops is None else len(stops))
-        part = {name: q[first : first + missing] for name, q in chosen.items()}
-        first += missing
-        if missing and all(len(q) for q in part.values()):
-            here = None if stops is None or not len(stops) else stops.q
-            more = sequenced(profile.model_copy(update={"plan": plan}), cell, part, rng, job, here, finder)
-            given_up += more.given_up
-            stops = more.stops if stops is None or not len(stops) else joined_after(stops, more.stops)
-    reached = 0 if stops is None else len(stops)
-    if stops is None or reached < wanted - profile.plan.reserve:
+    plan, stops, first, given_up = finder.profile.plan, kept, 0, list[str]()
+    reached = 0 if kept is None else len(kept)
+    wanted = reached + count
+    for repeats in (plan.repeats, *[0] * _ROUNDS):
+        part = {name: q[first : first + wanted - reached] for name, q in chosen.items()}
+        first += wanted - reached
+        if all(len(q) for q in part.values()):
+            here = None if stops is None else stops.targets(reached - 1)
+            more, reasons = sequenced(finder, part, rng, job, here, repeats)
+            given_up += reasons
+            stops = more if stops is None else joined_after(stops, more)
+            reached = len(stops)
+    if stops is None or reached < wanted - plan.reserve:
         reason = f". {given_up[0]}" if given_up else ""
         raise InputError(
             f"plan: only {reached} of {counted(wanted, 'stop')} can be reached; ask for fewer stops, a smaller"
@@ -178,7 +195,7 @@ def _pool(
     if int(reached.sum()) < _LEAST_CHOICE * count:
         return replace(pool, q=q)
     rejected = {**pool.rejected, "hard to reach": int(np.sum(~reached))}
-    return CandidatePool(q[reached], pool.incidence[reached], pool.sampled, rejected)
+    return CandidatePool(q[reached], pool.sampled, rejected)
 
 
 # -- Work done for each arm separately, in worker threads; the random numbers do not depend on the threads ------------
@@ -260,26 +277,24 @@ def _select(
     steps: JobSteps,
 ) -> Rows:
     """Choose candidates of one arm; ``pools`` are the configurations of all arms."""
-    q, others = pools[name], {other: q for other, q in pools.items() if other != name}
+    q = pools[name]
     if not count or not len(q):
         return np.arange(0)
-    conditions = even_conditions(profile, name, q, others, rng)
+    conditions = even_conditions(profile, name, q, pools, rng)
     model = information_model(profile, name, q, conditions)
     kept = np.empty((0, q.shape[1])) if kept is None else kept
-    before = model.rows(kept, even_conditions(profile, name, kept, others, rng))
+    before = model.rows(kept, even_conditions(profile, name, kept, pools, rng))
     candidates = Candidates(model.rows(q, conditions, np.float32), np.eye(len(model.size)) + information_of(before))
     targets = workspace_configurations(profile, cell_bodies(profile), name, _POINTS, rng)
     criterion = Criterion(
         reference_errors(candidates.mean_information, count, candidates.prior, model.wanted),
-        model.prediction_rows(targets, even_conditions(profile, name, targets, others, rng)),
+        model.prediction_rows(targets, even_conditions(profile, name, targets, pools, rng)),
     )
     chosen = choose_blocks(candidates, count, criterion, rng, steps)
     limits = gap_limits(q, len(chosen) + len(kept), profile.plan.largest_gap)
     chosen = close_gaps(candidates, q, chosen, criterion, limits, without_turns(kept, q), rng, steps)
     return least_informative_last(candidates, chosen, criterion)
 
-
-ERROR_NAMES: tuple[ErrorName, ...] = get_args(ErrorName)
 
 _QUALITY_POINTS = 600
 """Number of configurations at which predictions are judged: the mean is then known to 2 %."""
@@ -294,8 +309,7 @@ _PARTS = (25, 50, 100, 200, 400, 800, 1600, 3200)
 """Numbers of stops after which the expected errors are stated."""
 
 
-@dataclass(frozen=True, eq=False)
-class Errors:
+class Errors(NamedTuple):
     """Standard errors (k,) in units of the model's sizes; mean and largest uncertainty of predictions [m]."""
 
     parameters: Array
@@ -311,68 +325,49 @@ class DesignJudge:
     ----------
     model : InformationModel
         Columns of geometry and of the effects that the profile lists.
-    points : array, shape (s, 3, p)
-        Derivatives of predictions [m].
+    points : array, shape (3 s, p)
+        Derivatives of predictions [m] in single precision: uncertainties are stated to three digits.
     random : array, shape (m, 3, p)
         Whitened rows of random configurations.
-    others : mapping
-        Configurations of the other arms.
+    stops : mapping
+        Configurations of all arms.
     rng
         Samples random plans and conditions.
     """
 
     model: InformationModel
-    points: Array
+    points: NDArray[np.float32]
     random: Array
-    others: Mapping[str, Array]
+    stops: Mapping[str, Array]
     rng: np.random.Generator
 
     @classmethod
     def of(
-        cls,
-        profile: Profile,
-        name: str,
-        others: Mapping[str, Array],
-        stops: int,
-        rng: np.random.Generator,
-        job: JobToken,
+        cls, profile: Profile, name: str, stops: Mapping[str, Array], rng: np.random.Generator, job: JobToken
     ) -> DesignJudge:
-        """Set up for plans of ``stops`` stops of an arm; ``others`` are configurations of the other arms."""
-        cell = cell_bodies(profile)
-        number = min(math.ceil(_LARGER[-1] * stops), max(_MOST_RANDOM, stops))
+        """Set up for plans of an arm like those ``stops``, arm -> (n, N) [rad]."""
+        cell, n = cell_bodies(profile), len(stops[name])
+        number = min(math.ceil(_LARGER[-1] * n), max(_MOST_RANDOM, n))
         sampled = []
         for q in islice(random_configurations(cell, profile, name, rng, COMBINED), number):
             job.check()
             sampled.append(q)
         q = np.array(sampled)
-        conditions = sampled_conditions(profile, name, q, others, rng)
+        conditions = sampled_conditions(profile, name, q, stops, rng)
         model = information_model(profile, name, q, conditions, potential=False)
         targets = workspace_configurations(profile, cell, name, _QUALITY_POINTS, rng)
-        return cls(
-            model,
-            model.prediction_rows(targets, sampled_conditions(profile, name, targets, others, rng)),
-            model.rows(q, conditions),
-            others,
-            rng,
-        )
-
-    @cached_property
-    def _point_rows(self) -> NDArray[np.float32]:
-        """Rows (3 s, p) of the points in single precision: uncertainties are stated to three digits."""
-        return self.points.reshape(-1, self.points.shape[2]).astype(np.float32)
-
-    def sizes(self, stops: int) -> list[int]:
-        """Return the sizes of random plans among which the equivalent of ``stops`` stops is found."""
-        return sorted({min(round(ratio * stops), len(self.random)) for ratio in _LARGER})
+        points = model.prediction_rows(targets, sampled_conditions(profile, name, targets, stops, rng))
+        points = points.reshape(-1, points.shape[2]).astype(np.float32)
+        return cls(model, points, model.rows(q, conditions), stops, rng)
 
     def rows(self, q: Array) -> Array:
         """Compute whitened rows (n, 3, p) of stops ``q`` (n, N) [rad] under sampled conditions."""
-        return self.model.rows(q, sampled_conditions(self.model.profile, self.model.name, q, self.others, self.rng))
+        return self.model.rows(q, sampled_conditions(self.model.profile, self.model.name, q, self.stops, self.rng))
 
     def errors(self, information: Array) -> Errors:
         """Compute the errors from the information matrix (p, p) of readings."""
         covariance = inverse_psd(np.eye(len(information)) + information)
-        squares = np.einsum("rp,rp->r", self._point_rows @ covariance.astype(np.float32), self._point_rows)
+        squares = np.einsum("rp,rp->r", self.points @ covariance.astype(np.float32), self.points)
         points = np.sqrt(squares.reshape(-1, 3).sum(axis=1))
         return Errors(np.sqrt(np.diag(covariance)), float(points.mean()), float(points.max()))
 
@@ -404,11 +399,7 @@ class DesignJudge:
 
 
 def _mean(errors: Sequence[Errors]) -> Errors:
-    return Errors(
-        np.mean([one.parameters for one in errors], axis=0),
-        float(np.mean([one.mean for one in errors])),
-        float(np.mean([one.worst for one in errors])),
-    )
+    return Errors(*(np.mean(each, axis=0) for each in zip(*errors, strict=True)))
 
 
 def observability(information: Array, geometry: Sequence[int], stops: int) -> ObservabilityIndices:
@@ -469,19 +460,19 @@ def arm_design(
     """
     q = stops[name]
     n = len(q)
-    others = {other: theirs for other, theirs in stops.items() if other != name}
     with one_blas_thread():
-        judge = DesignJudge.of(profile, name, others, n, rng, job)
+        judge = DesignJudge.of(profile, name, stops, rng, job)
         rows = judge.rows(q)
         parts = [*(part for part in _PARTS if part < n), n]
-        random = judge.random_plans(sorted({*parts, *judge.sizes(n)}))
+        sizes = {min(round(ratio * n), len(judge.random)) for ratio in _LARGER}
+        random = judge.random_plans(sorted({*parts, *sizes}))
         geometry = judge.determined(random[n][1])
         by_stops = []
         for part in parts:
             information = information_of(rows[:part])
+            designed = judge.errors(information)  # at last that of all stops
             indices = observability(information, geometry, part)
-            by_stops.append(_quality(part, judge.errors(information), random[part][0], indices))
-        designed = judge.errors(information_of(rows))
+            by_stops.append(_quality(part, designed, random[part][0], indices))
     equal, of_random = random[n]
     return ArmDesign(
         candidates=len(pool.q),
@@ -489,7 +480,7 @@ def arm_design(
         rejected=pool.rejected,
         designed=by_stops[-1],
         random=_quality(n, equal, equal, observability(of_random, geometry, n)),
-        equal_to_random=equal_to_random(designed, {size: random[size][0] for size in judge.sizes(n)}, n),
+        equal_to_random=equal_to_random(designed, {size: random[size][0] for size in sizes}, n),
         by_stops=tuple(by_stops),
         largest_gap=tuple(largest_gaps(without_turns(q, pool.q)).tolist()),
     )
@@ -508,8 +499,8 @@ def equal_to_random(errors: Errors, random: Mapping[int, Errors], stops: int) ->
     sizes = sorted(random)
     curve = np.array([three(random[size]) for size in sizes])
     curve = np.minimum.accumulate(curve, axis=0)  # the mean of a few samples may rise again
-    equal = [
+    parameters, mean, worst = (
         float(np.exp(np.interp(-wanted, -curve[:, k], np.log(sizes))))
         for k, wanted in enumerate(three(errors).tolist())
-    ]
-    return dict(zip(ERROR_NAMES, equal, strict=True))
+    )
+    return {"parameters": parameters, "mean": mean, "worst": worst}

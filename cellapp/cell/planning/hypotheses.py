@@ -14,13 +14,14 @@ from typing import Any
 
 import numpy as np
 
-from cellapp.estimation.design.information import VISIBLE, TwoModels, detectable_size
+from cellapp.estimation.design.information import VISIBLE, TwoModels, detectable_size, unit_columns
 from cellapp.estimation.discovery.arm_data import (
     UNKNOWN,
     ArmData,
     Excess,
     ModelTerm,
     Smoothness,
+    named_columns,
     whitened_displacements,
     whitening,
     with_term,
@@ -32,13 +33,8 @@ from cellapp.robot.effects import EFFECTS, EffectColumn, EffectContext, InputVar
 from cellapp.robot.effects.effect import is_unnamed, lent_effect, lent_law
 from cellapp.robot.kinematics.transforms import Array
 
-
-@dataclass(frozen=True)
-class AlternativeLaw:
-    """A law of the alternative effect with those of its columns that may imitate the first effect."""
-
-    law: Law
-    names: tuple[str, ...]
+AlternativeLaw = tuple[Law, tuple[str, ...]]
+"""A law of the alternative effect with those of its columns that may imitate the first effect."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +85,7 @@ class Hypothesis:
     @property
     def columns_a_candidate(self) -> int:
         """Number of columns that all its discriminations hold for each candidate."""
-        columns = len(self.fit.rows) + sum(len(alternative.names) for alternative in self.alternatives)
+        columns = len(self.fit.rows) + sum(len(names) for _, names in self.alternatives)
         return columns * max(len(self.alternatives), 1)
 
     def discriminations(self, design: CandidateDesign) -> list[TwoModels]:
@@ -102,18 +98,15 @@ class Hypothesis:
         signals = self.values @ own
         candidate_signals = design.by_stop(self.values @ design.rows(self.effect, self.law, self.names))
         found = []
-        for alternative in self.alternatives or (AlternativeLaw(self.law, ()),):
-            columns = data.columns(self.against, alternative.law, alternative.names) if alternative.names else []
-            more = [design.rows(self.against, alternative.law, alternative.names)] if alternative.names else []
-            found.append(
-                TwoModels(
-                    run_columns=np.concatenate([fit.rows[kept], fit.displacements(columns)]),
-                    precision=np.concatenate([fit.precision[kept], [_bound_precision(c) for c in columns]]),
-                    run_signals=signals,
-                    candidate_columns=design.by_stop(np.concatenate([*further, *more])),
-                    candidate_signals=candidate_signals,
-                )
+        for law, names in self.alternatives or ((self.law, ()),):
+            columns = data.columns(self.against, law, names) if names else []
+            more = [design.rows(self.against, law, names)] if names else []
+            scaled = unit_columns(
+                np.concatenate([fit.rows[kept], fit.displacements(columns)]),
+                np.concatenate([fit.precision[kept], [_bound_precision(column) for column in columns]]),
+                design.by_stop(np.concatenate([*further, *more])),
             )
+            found.append(TwoModels(*scaled, signals, candidate_signals))
         return found
 
 
@@ -173,8 +166,7 @@ class CandidateDesign:
 
     def rows(self, slug: str, law: Law, names: Sequence[str]) -> Array:
         """Compute the whitened columns (k, 3 m) of a law."""
-        found = {column.name: column for column in EFFECTS[slug].columns(self.context, law, frozenset(names))}
-        return whitened_displacements([found[name] for name in names], self.by_joint, self.white)
+        return whitened_displacements(named_columns(self.context, slug, law, names), self.by_joint, self.white)
 
     @staticmethod
     def by_stop(rows: Array) -> Array:
@@ -298,7 +290,7 @@ def _hypotheses_against(
             gains = (rows[moving] @ signal.projected) ** 2 / information
             moving = sorted(moving[k] for k in np.argsort(-gains, kind="stable")[:_MOST_COLUMNS])
         names = tuple(columns[k].name for k in moving)
-        ranked.append((signal.explained(rows[moving]), AlternativeLaw(law, names)))
+        ranked.append((signal.explained(rows[moving]), (law, names)))
     if not ranked:
         return []
     ranked.sort(key=lambda entry: -entry[0])

@@ -26,13 +26,14 @@ from cellapp.estimation.discovery.arm_data import (
     TRANSMISSION_ERROR,
     UNKNOWN,
     ModelTerm,
+    named_columns,
     whitened_displacements,
     whitening,
 )
 from cellapp.estimation.discovery.plan_forecast import nominal_model, tracker_covariance
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.robot.effects import EFFECTS, EffectColumn, EffectContext, Law, MeasurementConditions
+from cellapp.robot.effects import EFFECTS, EffectContext, Law, MeasurementConditions
 from cellapp.robot.kinematics.chain import JointAngles, jacobian
 from cellapp.robot.kinematics.statics import base_moment
 from cellapp.robot.kinematics.transforms import Array
@@ -80,8 +81,8 @@ class InformationModel:
         Columns of effects, and last of potential terms.
     size : array, shape (p,)
         Prior standard deviation of each parameter or coefficient in its unit.
-    potential : int
-        Number of potential terms.
+    wanted : int
+        Number of columns whose standard errors count: without the potential terms.
     """
 
     profile: Profile
@@ -90,17 +91,7 @@ class InformationModel:
     parameters: ParameterSet
     parts: tuple[ModelTerm, ...]
     size: Array
-    potential: int
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the columns: parameters of the geometry, then ``slug: coefficient``."""
-        return (*self.parameters.names, *(f"{part.slug}: {name}" for part in self.parts for name in part.names))
-
-    @property
-    def wanted(self) -> int:
-        """Number of columns whose standard errors count: without the potential terms."""
-        return len(self.size) - self.potential
+    wanted: int
 
     def rows(self, q: Array, conditions: MeasurementConditions, dtype: type = np.float64) -> Array:
         """Compute whitened derivatives (n, 3, p) of readings at ``q`` (n, N) [rad] by parameters in units ``size``."""
@@ -125,7 +116,7 @@ class InformationModel:
         _, J = self.parameters.jacobian(self.model.geometry, JointAngles.of(context.q), more=joints)
         J = np.einsum("acn,ckn->kan", white, J)
         by_joint = J[:-size].swapaxes(0, 1)
-        columns = [column for part in self.parts for column in _columns_of(part, context)]
+        columns = [one for part in self.parts for one in named_columns(context, part.slug, part.law, part.names)]
         of_effects = whitened_displacements(columns, by_joint, white).reshape(len(columns), 3, -1)
         together = np.concatenate([J[-size:], of_effects])
         together *= self.size[:, None, None]
@@ -159,16 +150,13 @@ def information_model(
     registered = np.array([_REGISTRATION[unit] for unit in parameters.units])
     some = np.arange(min(len(q), _REFERENCE_STOPS))
     context = model.context(q[some], conditions=conditions.take(some))
-    parts, sizes = [], [np.where(np.isfinite(priors), priors, registered)]
-    for part, size in _effect_parts(profile, name, context):
-        parts.append(part)
-        sizes.append(size)
-    terms = _potential_terms(context) if potential else None
-    if terms is not None:
-        parts.append(terms[0])
-        sizes.append(terms[1])
-    number = 0 if terms is None else len(terms[1])
-    return InformationModel(profile, name, model, parameters, tuple(parts), np.concatenate(sizes), number)
+    of_effects = list(_effect_parts(profile, name, context))
+    potential_terms = list(_potential_terms(context)) if potential else []
+    parts = (*of_effects, *potential_terms)
+    of_geometry = np.where(np.isfinite(priors), priors, registered)
+    size = np.concatenate([of_geometry, *(its for _, its in parts)])
+    wanted = len(size) - sum(len(its) for _, its in potential_terms)
+    return InformationModel(profile, name, model, parameters, tuple(part for part, _ in parts), size, wanted)
 
 
 def geometry_priors(profile: Profile, name: str, model: ArmModel) -> tuple[ParameterSet, Array]:
@@ -206,12 +194,12 @@ def _effect_parts(profile: Profile, name: str, context: EffectContext) -> Iterat
             )
 
 
-def _potential_terms(context: EffectContext) -> tuple[ModelTerm, Array] | None:
-    """Return periodic errors of several cycles per revolution of each joint that moves the SMR; None without any."""
+def _potential_terms(context: EffectContext) -> Iterator[tuple[ModelTerm, Array]]:
+    """Yield periodic errors of several cycles per revolution of each joint that moves the SMR; nothing without any."""
     joints = range(1, context.joints + 1)
     waves = frozenset(f"{wave}{n}q{j}" for j in joints for n in POTENTIAL_CYCLES for wave in ("cos", "sin"))
     law = EFFECTS[TRANSMISSION_ERROR].law("lines")
-    return next(_sized(TRANSMISSION_ERROR, law, context, POTENTIAL_M, waves), None)
+    return _sized(TRANSMISSION_ERROR, law, context, POTENTIAL_M, waves)
 
 
 def _sized(
@@ -234,11 +222,6 @@ def _sized(
         yield ModelTerm(slug, law, tuple(chosen)), np.array(sizes)
 
 
-def _columns_of(part: ModelTerm, context: EffectContext) -> list[EffectColumn]:
-    by_name = {column.name: column for column in EFFECTS[part.slug].columns(context, part.law, frozenset(part.names))}
-    return [by_name[name] for name in part.names]
-
-
 def _unit(n: int) -> Array:
     """Return the identity as whitening (3, 3, n)."""
     return np.broadcast_to(np.eye(3)[:, :, None], (3, 3, n))
@@ -253,14 +236,14 @@ def incidence(context: EffectContext) -> Array:
 
 
 def even_conditions(
-    profile: Profile, name: str, q: Array, others: Mapping[str, Array], rng: np.random.Generator
+    profile: Profile, name: str, q: Array, every: Mapping[str, Array], rng: np.random.Generator
 ) -> MeasurementConditions:
     """Sample conditions as ``sampled_conditions`` does, but equally informative at all stops: only signs are sampled.
 
     Steps have their rms size, times their rms distance from the middle of the run. Otherwise the choice would prefer
     stops with large steps at the beginning or the end of the run, which the plan then changes.
     """
-    sampled = sampled_conditions(profile, name, q, others, rng)
+    sampled = sampled_conditions(profile, name, q, every, rng)
     half = 0.5 * _SECONDS_A_STOP * profile.plan.stops
     time_s = half * (1.0 + rng.choice((-1.0, 1.0), len(q)) / math.sqrt(3.0))
     step = sampled.step
@@ -270,11 +253,11 @@ def even_conditions(
 
 
 def sampled_conditions(
-    profile: Profile, name: str, q: Array, others: Mapping[str, Array], rng: np.random.Generator
+    profile: Profile, name: str, q: Array, every: Mapping[str, Array], rng: np.random.Generator
 ) -> MeasurementConditions:
     """Sample independent conditions of readings at ``q`` (n, N) [rad], for factors of a plan that are not decided yet.
 
-    ``others`` are configurations of the other arms, from which their pose at each stop is sampled.
+    ``every`` are configurations of all arms; from them the pose of the only other arm at each stop is sampled.
     """
     n, plan = len(q), profile.plan
     if plan.steps:
@@ -283,10 +266,10 @@ def sampled_conditions(
         step = q - q[rng.permutation(n)]
     time_s = rng.uniform(0.0, _SECONDS_A_STOP * plan.stops, n)
     moment, other_q = None, None
+    others = [other for other in every if other != name]
     if len(others) == 1:
-        other = next(iter(others))
-        model = nominal_model(profile, other)
-        other_q = others[other][rng.integers(0, len(others[other]), n)]
+        model, its = nominal_model(profile, others[0]), every[others[0]]
+        other_q = its[rng.integers(0, len(its), n)]
         moment = base_moment(model.geometry, model.bodies, other_q, model.up_M)
     return MeasurementConditions(
         approach=np.sign(step),

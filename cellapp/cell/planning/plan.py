@@ -5,17 +5,16 @@ Planning of stops by the method that the profile names, for a new plan or after 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
 
-from cellapp.cell.planning.balance import correlations, travel_time
 from cellapp.cell.planning.candidates import random_configurations
-from cellapp.cell.planning.designed_plan import DesignedStops, arm_design, design_stops, of_each_arm
+from cellapp.cell.planning.designed_plan import design_stops
 from cellapp.cell.planning.information import even_conditions, information_model
 from cellapp.cell.planning.planned_stops import PlannedStops, joined_after, straight_stops, write_planned_stops
-from cellapp.cell.planning.records import ArmDesign, PlanDesignResult
+from cellapp.cell.planning.records import PlanDesignResult
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies, clear_stops, refuse_motion, visible_stops
@@ -31,35 +30,27 @@ _PROGRESS_EVERY = 10
 """Stops between two progress reports."""
 
 
-def plan_stops(profile: Profile, job: JobToken = UNATTENDED) -> dict[str, Array]:
-    """Sample stops for all arms with the profile's seed, arm -> q (stops + reserve, N) [rad].
+def plan_stops(
+    profile: Profile, job: JobToken = UNATTENDED, *, kept: PlannedStops | None = None, add: int | None = None
+) -> dict[str, Array]:
+    """Sample stops for all arms with the profile's seed, arm -> q (stops + reserve, N) [rad]; or ``add`` further ones.
 
     Configurations are uniform in joint space, restricted to those where the tracker sees the SMR and the arm is clear
     of the floor and of itself. Their order is random, so that drift in time is not confounded with joint positions. A
-    pair of configurations becomes the next stop if both arms can move there at any relative speed.
+    pair of configurations becomes the next stop if both arms can move there at any relative speed. The first follows
+    home, or those that are ``kept``; the last one has a motion to the home positions.
 
     Raises
     ------
     InputError
         If not enough stops can be reached.
     """
-    wanted = profile.plan.stops + profile.plan.reserve
-    return further_stops(profile, home_positions(profile), wanted, (), job)
-
-
-def further_stops(
-    profile: Profile, here: Mapping[str, Array], wanted: int, more_seed: Sequence[int] = (), job: JobToken = UNATTENDED
-) -> dict[str, Array]:
-    """Sample stops as ``plan_stops`` does, arm -> q (wanted, N) [rad], beginning where the arms are (arm -> (N,)
-    [rad]).
-
-    The last stop has a motion to the home positions. ``more_seed`` is added to the profile's seed, so that stops differ
-    from those that exist already.
-    """
-    cell = cell_bodies(profile)
+    cell, homes = cell_bodies(profile), home_positions(profile)
+    wanted = profile.plan.stops + profile.plan.reserve if add is None else add
+    # further stops differ from those that exist already
+    here, more_seed = (homes, ()) if kept is None else (kept.targets(len(kept) - 1), (len(kept),))
     rng = np.random.default_rng([profile.seed, 0x9A7, *more_seed])
     picks = {name: random_configurations(cell, profile, name, rng) for name in cell.arms}
-    homes = home_positions(profile)
     stops: list[Mapping[str, Array]] = []
     for number in range(1, wanted + 1):
         job.check()
@@ -157,17 +148,18 @@ def make_stops(
         If there is nothing to add, or not enough stops can be reached.
     Cancelled
     """
-    wanted = profile.plan.stops + profile.plan.reserve
-    if kept is not None and add is None and len(kept) >= wanted:
+    wanted, before = profile.plan.stops + profile.plan.reserve, 0 if kept is None else len(kept)
+    if add is None and before >= wanted:
         raise InputError(
-            f"plan: {counted(len(kept), 'stop is', 'stops are')} kept, and plan.stops and plan.reserve ask for"
-            f" {wanted}: nothing is left to design; ask for more stops, or keep fewer"
+            f"plan: {counted(before, 'stop is', 'stops are')} kept, and plan.stops and plan.reserve ask for {wanted}:"
+            " nothing is left to design; ask for more stops, or keep fewer"
         )
-    count = wanted - (0 if kept is None else len(kept)) if add is None else add
+    kept, count = kept if before else None, wanted - before if add is None else add
     if profile.plan.method == "random":
-        return _with_loads(profile, _random(profile, count, job, kept), kept), None
-    designed = design_stops(profile, count, job, kept)
-    return _with_loads(profile, designed.stops, kept), design_result(profile, designed, job)
+        stops = straight_stops(plan_stops(profile, job, kept=kept, add=count))
+        return _with_loads(profile, stops if kept is None else joined_after(kept, stops), before), None
+    stops, design = design_stops(profile, count, job, kept)
+    return _with_loads(profile, stops, before), design
 
 
 _SHOWN = 100
@@ -183,8 +175,7 @@ def require_plannable(profile: Profile) -> None:
     limits = {name: np.array(arm.joint_limits) for name, arm in profile.arms.items()}
     picks = {name: rng.uniform(ends[:, 0], ends[:, 1], (_SHOWN, len(ends))) for name, ends in limits.items()}
     for name, q in picks.items():
-        others = {other: its for other, its in picks.items() if other != name}
-        information_model(profile, name, q, even_conditions(profile, name, q, others, rng), potential=False)
+        information_model(profile, name, q, even_conditions(profile, name, q, picks, rng), potential=False)
 
 
 def _require_stops(stops: int, loads: int) -> None:
@@ -194,56 +185,14 @@ def _require_stops(stops: int, loads: int) -> None:
         )
 
 
-def _with_loads(profile: Profile, stops: PlannedStops, kept: PlannedStops | None) -> PlannedStops:
-    """Assign the loads of the profile in turn, to equally many stops each; kept stops keep their loads.
+def _with_loads(profile: Profile, stops: PlannedStops, before: int) -> PlannedStops:
+    """Assign the loads of the profile in turn, to equally many stops each; those ``before`` keep their loads.
 
     Blocks are in random order and each covers the workspace, so every load covers it too. Reserves get the last load.
     """
-    before = 0 if kept is None else len(kept)
     first = int(stops.load[before - 1]) if before else 0
     reserves = 0 if before else len(profile.plan.reserves(len(stops)))
     remaining, n = profile.loads - first, len(stops) - before - reserves
     _require_stops(n, remaining)
     load = first + np.minimum(np.arange(len(stops) - before) * remaining // n, remaining - 1)
     return replace(stops, load=np.concatenate([stops.load[:before], load]))
-
-
-def _random(profile: Profile, count: int, job: JobToken, kept: PlannedStops | None) -> PlannedStops:
-    """Sample random stops with straight motions, and append them to those that are kept."""
-    if kept is None or not len(kept):
-        return straight_stops(further_stops(profile, home_positions(profile), count, (), job))
-    here = kept.targets(len(kept) - 1)
-    return joined_after(kept, straight_stops(further_stops(profile, here, count, (len(kept),), job)))
-
-
-# -- Description of a designed plan: what it tells against random stops, correlations of its factors, its time --------
-
-
-_SEED = 0xDE52
-
-
-def design_result(profile: Profile, designed: DesignedStops, job: JobToken = UNATTENDED) -> PlanDesignResult:
-    """Compare the asked stops of a plan with random ones of the same number; reserves do not count.
-
-    Raises ``Cancelled`` on request.
-    """
-    stops, pools = designed.stops, designed.pools
-    rng = np.random.default_rng([profile.seed, _SEED])
-    reserves = profile.plan.reserves(len(stops))
-    asked = stops.take([stop for stop in range(len(stops)) if stop not in reserves])
-
-    def compare(name: str, own_rng: np.random.Generator) -> ArmDesign:
-        return arm_design(profile, pools[name], name, asked.q, own_rng, job=job)
-
-    job.tell("compare", 0, len(pools), "with random stops")
-    arms = of_each_arm(compare, pools, rng)
-    job.tell("compare", len(pools), len(pools), "done")
-    return PlanDesignResult(
-        arms=arms,
-        correlations=correlations(profile, cell_bodies(profile), asked),
-        travel=travel_time(profile, asked, designed.finder, rng),
-        detours=sum(bool(legs) for legs in asked.legs),
-        blocks=len(np.unique(asked.block)),
-        repeats=int(np.sum(asked.repeat_of >= 0)),
-        notes=designed.given_up,
-    )

@@ -24,8 +24,9 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -41,7 +42,7 @@ STOP, APPROACH = "stop", "approach"
 _POINT = re.compile(r"stop|approach|leg([1-9][0-9]{0,2})")
 _KEYS = ("configuration", "arm", "point")
 _OF_STOP = ("dwell_s", "block", "repeat_of", "frozen", "load")
-_WORDS = {"": False, "no": False, "yes": True}
+_WORDS = {"no": False, "yes": True}
 _ROUNDING_RAD = 1e-9
 """Tolerance of joint limits for rounding, as in the safety gate."""
 
@@ -140,17 +141,12 @@ def _joint_columns(joints: int) -> list[str]:
     return [f"q{joint + 1}" for joint in range(joints)]
 
 
-@dataclass(frozen=True)
-class _PlanPoint:
-    """One row: joint positions, and the cells that belong to rows ``stop`` only; None where a cell is empty."""
+class _PlanPoint(NamedTuple):
+    """One row: joint positions, and the filled ones of the cells that belong to rows ``stop`` only."""
 
     line: int
     q: Array
-    dwell_s: float
-    block: int | None
-    repeat_of: int | None
-    frozen: bool | None
-    load: int | None
+    of_stop: Mapping[str, Any]
 
 
 class _Points:
@@ -174,11 +170,11 @@ class _Points:
             self._problems.add(line, "arm", f"{what}; arms are {', '.join(self._profile.arms)}")
         if not _POINT.fullmatch(point):
             self._problems.add(line, "point", f"expected leg1, leg2, ..., approach or stop, got '{short(point)}'")
-        if number is None or self._problems.count > before:
+        if self._problems.count > before:
             return
         q = self._joint_positions(line, cells, name, self._profile.arms[name])
-        of_stop = self._of_stop(line, cells, point)
-        if q is None or of_stop is None:
+        of_stop = {one: self._of_stop(line, one, cells[one], point) for one in _OF_STOP if cells.get(one)}
+        if self._problems.count > before:
             return
         points = self.by_stop.setdefault(number, {}).setdefault(name, {})
         self.first_line.setdefault(number, line)
@@ -186,66 +182,58 @@ class _Points:
             text = f"{number} of arm {name} has a row '{point}' in line {points[point].line} already; keep one"
             self._problems.add(line, "configuration", text)
         else:
-            points[point] = replace(of_stop, q=q)
+            points[point] = _PlanPoint(line, np.array(q, dtype=np.float64), of_stop)
 
-    def _joint_positions(self, line: int, cells: Mapping[str, str], name: str, arm: Arm) -> Array | None:
+    def _joint_positions(self, line: int, cells: Mapping[str, str], name: str, arm: Arm) -> list[float]:
         limits = arm.joint_limits
         found = []
         for joint, (low, high) in enumerate(limits):
             column = f"q{joint + 1}"
-            value = self._number(line, column, cells[column])
-            if value is not None and not low - _ROUNDING_RAD <= value <= high + _ROUNDING_RAD:
+            found.append(value := self._number(line, column, cells[column]))
+            if not low - _ROUNDING_RAD <= value <= high + _ROUNDING_RAD:
                 text = f"{value:g} rad is outside the limits {low:g} to {high:g} rad of arm {name}"
                 self._problems.add(line, column, text)
-                value = None
-            found.append(value)
         for column in _joint_columns(len(self._table.names))[len(limits) :]:
             if cells.get(column):
                 self._problems.add(line, column, f"there is a value, but arm {name} has {len(limits)} joints")
-        return None if None in found else np.array(found, dtype=np.float64)
+        return found
 
-    def _of_stop(self, line: int, cells: Mapping[str, str], point: str) -> _PlanPoint | None:
-        """Parse the cells of a row that describe its stop; None if one is wrong."""
-        before = self._problems.count
-        for column in _OF_STOP:
-            if point != STOP and cells.get(column):
-                self._problems.add(line, column, f"there is a value, but it belongs to the row '{STOP}' of this arm")
-        dwell, block, repeat, frozen, load = (cells.get(column, "") for column in _OF_STOP)
-        dwell_s = self._number(line, "dwell_s", dwell) if dwell else 0.0
-        if dwell_s is not None and not 0.0 <= dwell_s <= LONGEST_DWELL_S:
-            self._problems.add(line, "dwell_s", f"expected 0 to {LONGEST_DWELL_S:g} s, got {dwell_s:g}")
-        if frozen.lower() not in _WORDS:
-            self._problems.add(line, "frozen", f"expected yes or no, got '{short(frozen)}'")
-        most, load_number = self._profile.loads - 1, self._whole(line, "load", load) if load else None
-        if load_number is not None and load_number > most:
+    def _of_stop(self, line: int, column: str, text: str, point: str) -> float | int | bool | None:
+        """Parse a filled cell that describes a stop."""
+        if point != STOP:
+            self._problems.add(line, column, f"there is a value, but it belongs to the row '{STOP}' of this arm")
+            return None
+        if column == "dwell_s":
+            dwell_s = self._number(line, column, text)
+            if not 0.0 <= dwell_s <= LONGEST_DWELL_S:
+                self._problems.add(line, column, f"expected 0 to {LONGEST_DWELL_S:g} s, got {dwell_s:g}")
+            return dwell_s
+        if column == "frozen":
+            if text.lower() not in _WORDS:
+                self._problems.add(line, column, f"expected yes or no, got '{short(text)}'")
+            return _WORDS.get(text.lower())
+        number, most = self._whole(line, column, text), self._profile.loads - 1
+        if column == "load" and number > most:
             self._problems.add(
-                line, "load", f"there is no load {load_number}; with arms.NAME.payloads there are 0 to {most}"
+                line, column, f"there is no load {number}; with arms.NAME.payloads there are 0 to {most}"
             )
-        found = _PlanPoint(
-            line=line,
-            q=np.empty(0),
-            dwell_s=dwell_s or 0.0,
-            block=self._whole(line, "block", block) if block else None,
-            repeat_of=self._whole(line, "repeat_of", repeat) if repeat else None,
-            frozen=_WORDS.get(frozen.lower()) if frozen else None,
-            load=load_number,
-        )
-        return found if self._problems.count == before else None
+        return number
 
-    def _number(self, line: int, column: str, text: str) -> float | None:
+    def _number(self, line: int, column: str, text: str) -> float:
+        """Parse a finite number; NaN with a problem for another text."""
         value = float(text) if NUMBER.fullmatch(text) else math.nan
-        if math.isfinite(value):
-            return value
-        what = f"expected a finite number such as 0.25, got '{short(text)}'" if text else "the value is missing"
-        self._problems.add(line, column, what)
-        return None
+        if not math.isfinite(value):
+            what = f"expected a finite number such as 0.25, got '{short(text)}'" if text else "the value is missing"
+            self._problems.add(line, column, what)
+        return value
 
-    def _whole(self, line: int, column: str, text: str) -> int | None:
+    def _whole(self, line: int, column: str, text: str) -> int:
+        """Parse a whole number from 0; -1 with a problem for another text."""
         if WHOLE.fullmatch(text) and int(text) >= 0:
             return int(text)
         what = f"expected a whole number from 0, got '{short(text)}'" if text else "the value is missing"
         self._problems.add(line, column, what)
-        return None
+        return -1
 
     # -- stops ---------------------------------------------------------------------------------------------------------
 
@@ -263,7 +251,7 @@ class _Points:
         return PlannedStops(
             q={name: np.array([row[STOP].q for row in rows[name]]) for name in arms},
             approach_from={name: np.array([_approach(row) for row in rows[name]]) for name in arms},
-            dwell_s={name: np.array([row[STOP].dwell_s for row in rows[name]]) for name in arms},
+            dwell_s={name: np.array([row[STOP].of_stop.get("dwell_s", 0.0) for row in rows[name]]) for name in arms},
             legs=tuple(self._legs(number) for number in numbers),
             block=np.array([self._agreed(number, "block") or 0 for number in numbers], dtype=np.intp),
             repeat_of=np.array([-1 if one is None else place[one] for one in repeats], dtype=np.intp),
@@ -284,7 +272,7 @@ class _Points:
                 line, "point", f"configuration {number} has no leg{missing}; number legs from 1, no gaps"
             )
         for column in _OF_STOP[1:]:  # each arm has a dwell of its own
-            said = {getattr(points[STOP], column) for points in arms.values() if STOP in points} - {None}
+            said = {points[STOP].of_stop.get(column) for points in arms.values() if STOP in points} - {None}
             if len(said) > 1:
                 self._problems.add(line, column, f"the arms of configuration {number} have different values")
         source = self._agreed(number, "repeat_of")
@@ -294,7 +282,7 @@ class _Points:
 
     def _agreed(self, number: int, column: str) -> int | None:
         """Return the value that the rows of a stop agree on; None if it is not given."""
-        said = (getattr(points[STOP], column) for points in self.by_stop[number].values() if STOP in points)
+        said = (points[STOP].of_stop.get(column) for points in self.by_stop[number].values() if STOP in points)
         return next((one for one in said if one is not None), None)
 
     def _legs(self, number: int) -> tuple[Configuration, ...]:

@@ -131,6 +131,11 @@ def joined(first: PlannedStops, second: PlannedStops) -> PlannedStops:
     return replace(both, legs=(*first.legs, *(((), *second.legs[1:]) if min(len(first), len(second)) else second.legs)))
 
 
+def begin_of(q: Array, step: Array) -> Array:
+    """Compute where the last motions ``step`` (n, N) to stops ``q`` begin (n, N) [rad]; NaN where no joint moves."""
+    return np.where(np.any(step != 0.0, axis=1, keepdims=True), q - step, np.nan)
+
+
 def last_motions(stops: PlannedStops, homes: Configuration) -> dict[str, Array]:
     """Compute the signed last motion of each joint before each stop, arm -> (n, N) [rad].
 
@@ -142,6 +147,12 @@ def last_motions(stops: PlannedStops, homes: Configuration) -> dict[str, Array]:
         begin = stops.approach_from[name]
         motions[name] = q - np.where(np.isfinite(begin), begin, before)
     return motions
+
+
+def without_reserves(profile: Profile, stops: PlannedStops) -> PlannedStops:
+    """Leave out the reserve stops of a plan."""
+    reserves = profile.plan.reserves(len(stops))
+    return stops.take([stop for stop in range(len(stops)) if stop not in reserves])
 
 
 def joined_after(first: PlannedStops, second: PlannedStops) -> PlannedStops:
@@ -384,11 +395,14 @@ class StopTimes:
         Of the motion to each stop, and of the rest before its measurement [s].
     measuring_s : float
         Of all arms at one stop [s].
+    travel_s : float
+        Of all motions, with that home from the last stop [s].
     """
 
     moving_s: Array
     resting_s: Array
     measuring_s: float
+    travel_s: float
 
     @property
     def measured_s(self) -> Array:
@@ -433,14 +447,9 @@ def stop_times_of(profile: Profile, stops: PlannedStops) -> StopTimes:
         moving_s[: slow.stops] /= slow.speed
     dwell_s = np.max([stops.dwell_s[name] for name in stops.q], axis=0)
     resting_s = np.maximum(_SETTLE_S, dwell_s) + _SETTLE_S * (motions - 1.0 + (last_s > 0.0))
-    return StopTimes(moving_s, resting_s, _measuring_s(profile) * len(stops.q))
-
-
-def home_s(profile: Profile, stops: PlannedStops) -> float:
-    """Compute the time of the motion home from the last stop [s]; 0 for arms without a home position."""
-    homes = home_positions(profile)
-    ways = [motion_s(profile.arms[name], (homes[name] - q[-1])[None]) for name, q in stops.q.items() if name in homes]
-    return float(np.max(ways)) if ways else 0.0
+    ways = [motion_s(profile.arms[name], (here[name] - q[-1])[None]) for name, q in stops.q.items() if name in here]
+    home_s = float(np.max(ways)) if ways else 0.0
+    return StopTimes(moving_s, resting_s, _measuring_s(profile) * len(stops.q), float(moving_s.sum()) + home_s)
 
 
 def route_s(profile: Profile, start: Configuration, route: Route) -> float:
@@ -468,7 +477,7 @@ def planned_time(profile: Profile, stops: PlannedStops) -> PlannedTime:
         points = len(stops.q) + len(reference.nests)
         references_s = count * (2.0 * float(np.mean(times.moving_s)) + points * _measuring_s(profile))
     parts = {
-        "moving_s": float(times.moving_s.sum()) + home_s(profile, stops),
+        "moving_s": times.travel_s,
         "resting_s": float(times.resting_s.sum()),
         "measuring_s": times.measuring_s * len(times.moving_s),
         "references_s": references_s,

@@ -22,6 +22,7 @@ from cellapp.cell.planning.hypotheses import (
 from cellapp.cell.planning.plan import sample_stops
 from cellapp.cell.planning.planned_stops import (
     PlannedStops,
+    begin_of,
     can_go,
     joined,
     read_planned_stops,
@@ -70,10 +71,6 @@ class Approaches:
     def __len__(self) -> int:
         return len(self.dwells)
 
-    def first(self, poses: int) -> Approaches:
-        """Return the approaches to the first ``poses`` poses."""
-        return Approaches(self.steps[:poses], self.dwells)
-
     def needed_for(self, variables: Collection[InputVariable]) -> Approaches:
         """Leave out detours and dwells that no variable depends on."""
         steps, dwells = self.steps, self.dwells
@@ -112,12 +109,16 @@ _LAST_READINGS = 5
 
 
 @dataclass(frozen=True, eq=False)
-class RunConditions:
-    """Conditions of further stops of one arm, taken from its run.
+class CandidateStops:
+    """Candidates for further stops of one arm: each pose by each approach, under the conditions of its run.
 
     Attributes
     ----------
     name : str
+    poses : CandidatePoses
+        Of all arms (n of them).
+    approaches : Approaches
+        To n poses at least.
     other : (str, ArmModel), optional
         Name and model of the other arm.
     conditions : MeasurementConditions
@@ -127,32 +128,29 @@ class RunConditions:
     """
 
     name: str
+    poses: CandidatePoses
+    approaches: Approaches
     other: tuple[str, ArmModel] | None
     conditions: MeasurementConditions
     count: int
 
-    def candidates(
-        self,
-        poses: CandidatePoses,
-        approaches: Approaches,
-        pose: NDArray[np.intp],
-        approach: NDArray[np.intp],
-        load_kg: Array | None = None,
+    def at(
+        self, pose: NDArray[np.intp], approach: NDArray[np.intp], load_kg: Array | None = None
     ) -> tuple[Array, MeasurementConditions]:
-        """Return configurations (m, N) [rad] and conditions of candidates; ``load_kg`` replaces the payload."""
+        """Return configurations (m, N) [rad] and conditions of some of them; ``load_kg`` replaces the payload."""
         m, conditions = len(pose), self.conditions
-        steps = approaches.steps[pose, approach]
+        steps = self.approaches.steps[pose, approach]
         moment = other_q = None
         if self.other is not None:
             other, model = self.other
-            other_q = poses.q[other][pose]
+            other_q = self.poses.q[other][pose]
             moment = base_moment(model.geometry, model.bodies, other_q, model.up_M)
         detour = bool(steps.any())
         dwell_s, rested_s = None, conditions.dwell_s
         shortest_s = np.nanmin(rested_s) if rested_s is not None and np.isfinite(rested_s).any() else _TYPICAL_DWELL_S
-        if rested_s is not None or approaches.dwells.any():
-            dwell_s = approaches.dwells[approach] + shortest_s
-        return poses.q[self.name][pose], MeasurementConditions(
+        if rested_s is not None or self.approaches.dwells.any():
+            dwell_s = self.approaches.dwells[approach] + shortest_s
+        return self.poses.q[self.name][pose], MeasurementConditions(
             approach=np.sign(steps) if detour else None,
             step=steps if detour else None,
             dwell_s=dwell_s,
@@ -165,10 +163,10 @@ class RunConditions:
             record=conditions.record,
         )
 
-    def all_candidates(self, poses: CandidatePoses, approaches: Approaches) -> tuple[Array, MeasurementConditions]:
+    def every(self) -> tuple[Array, MeasurementConditions]:
         """Return configurations and expected conditions of all candidates, pose by pose."""
-        pose, approach = (each.ravel() for each in np.indices((len(poses), len(approaches))))
-        return self.candidates(poses, approaches, pose, approach)
+        pose, approach = (each.ravel() for each in np.indices((len(self.poses), len(self.approaches))))
+        return self.at(pose, approach)
 
     def _times(self, m: int) -> Array | None:
         """Return the middle of the time in which the further stops will be measured, at the pace of the run."""
@@ -191,92 +189,82 @@ def last_known(values: Array | None, m: int) -> Array | None:
     return np.repeat(last, m, axis=0)
 
 
-@dataclass(frozen=True, eq=False)
-class ArmHypotheses:
-    """Hypotheses for further stops of one arm, the approaches that they need, and the largest number of poses."""
+def open_questions(
+    measured: ArmReadings,
+    models: Mapping[str, ArmModel],
+    discovery: ArmFound,
+    poses: CandidatePoses,
+    count: int,
+    rng: np.random.Generator,
+) -> tuple[CandidateStops, list[Hypothesis]]:
+    """Derive the hypotheses from the outcome of discovery in an arm's readings; return the candidates they need."""
+    profile, name, readings = measured.profile, measured.name, measured.readings
+    rows = readings.in_split("identify", "train")
+    rows = rows[~np.isin(readings.configuration[rows], discovery.result.left_out_configurations)]
+    sigma = prior_sigmas(measured.model.nominal, profile.calibration.priors, profile.arms[name].fixed)
+    data, fit = refitted_discovery(ArmData.of(measured.take(rows), sigma), discovery)
+    others = [(other, model) for other, model in models.items() if other != name]
+    other = others[0] if len(others) == 1 else None
+    approaches = all_approaches(len(poses), readings.joints, rng)
+    stops = CandidateStops(name, poses, approaches, other, measured.conditions, count)
+    hypotheses = open_hypotheses(data, fit, discovery, joined_context(data, *stops.every()))
+    return replace(stops, approaches=approaches.needed_for(_variables(hypotheses))), hypotheses
 
-    run: RunConditions
-    hypotheses: tuple[Hypothesis, ...]
-    approaches: Approaches
-    limits: Array
-    affordable_poses: int
 
-    @classmethod
-    def of(
-        cls,
-        measured: ArmReadings,
-        models: Mapping[str, ArmModel],
-        discovery: ArmFound,
-        poses: CandidatePoses,
-        count: int,
-        effort: Effort,
-        rng: np.random.Generator,
-    ) -> ArmHypotheses:
-        """Derive the hypotheses from the outcome of discovery in the arm's readings."""
-        profile, name, readings = measured.profile, measured.name, measured.readings
-        arm, rows = profile.arms[name], readings.in_split("identify", "train")
-        rows = rows[~np.isin(readings.configuration[rows], discovery.result.left_out_configurations)]
-        sigma = prior_sigmas(measured.model.nominal, profile.calibration.priors, arm.fixed)
-        data, fit = refitted_discovery(ArmData.of(measured.take(rows), sigma), discovery)
-        others = [(other, model) for other, model in models.items() if other != name]
-        run = RunConditions(name, others[0] if len(others) == 1 else None, measured.conditions, count)
-        approaches = all_approaches(len(poses), readings.joints, rng)
-        joined = joined_context(data, *run.all_candidates(poses, approaches))
-        hypotheses = tuple(open_hypotheses(data, fit, discovery, joined))
-        approaches = approaches.needed_for(frozenset[InputVariable]().union(*(one.variables for one in hypotheses)))
-        columns = sum(one.columns_a_candidate for one in hypotheses)
-        most = min(int(_MEMORY_BYTES / max(columns * _BYTES_A_COLUMN, 1)), effort.candidates) // len(approaches)
-        limits = np.array(arm.joint_limits)
-        return cls(run, hypotheses, approaches, limits, max(_LEAST_POSES, most))
+def _variables(hypotheses: Sequence[Hypothesis]) -> frozenset[InputVariable]:
+    """Return all variables that the hypotheses' models depend on."""
+    return frozenset[InputVariable]().union(*(one.variables for one in hypotheses))
 
-    @property
-    def variables(self) -> frozenset[InputVariable]:
-        """All variables that the hypotheses' models depend on."""
-        return frozenset[InputVariable]().union(*(one.variables for one in self.hypotheses))
+
+def _affordable_poses(stops: CandidateStops, hypotheses: Sequence[Hypothesis], most: int) -> int:
+    """Return the number of poses of an arm for which the memory is enough, with at most ``most`` candidates."""
+    columns = sum(one.columns_a_candidate for one in hypotheses)
+    within_memory = int(_MEMORY_BYTES / max(columns * _BYTES_A_COLUMN, 1))
+    return max(_LEAST_POSES, min(within_memory, most) // len(stops.approaches))
 
 
 @dataclass(eq=False)
 class ArmCandidates:
-    """Candidate stops of one arm (n poses, f approaches) while some of them are chosen.
+    """Candidates of one arm (n poses, f approaches) while some of them are chosen.
 
     Attributes
     ----------
-    run, approaches
+    stops
+        The candidates.
     allowed : array, shape (n, f)
         Candidates that may still be chosen.
+    used : array, shape (n,)
+        How often each pose is chosen.
     comparisons : list of (Hypothesis, discriminations)
         Over all candidates.
     designs : list of (Hypothesis, SequentialDesign)
         Each discrimination with the candidates chosen so far.
     """
 
-    run: RunConditions
-    approaches: Approaches
+    stops: CandidateStops
     allowed: NDArray[np.bool_]
+    used: NDArray[np.intp]
     comparisons: list[tuple[Hypothesis, list[TwoModels]]]
     designs: list[tuple[Hypothesis, SequentialDesign]]
 
     @classmethod
-    def of(cls, arm: ArmHypotheses, poses: CandidatePoses) -> ArmCandidates:
-        """Set up the discriminations over all candidates; last steps must start inside the joint limits."""
-        approaches = arm.approaches.first(len(poses))
-        start = poses.q[arm.run.name][:, None] - approaches.steps
-        low, high = arm.limits.T
-        q, conditions = arm.run.all_candidates(poses, approaches)
+    def of(cls, stops: CandidateStops, hypotheses: Sequence[Hypothesis], limits: Array) -> ArmCandidates:
+        """Set up the discriminations over all candidates; last steps must start inside the joint limits (N, 2)."""
+        poses = len(stops.poses)
+        start = stops.poses.q[stops.name][:, None] - stops.approaches.steps[:poses]
+        low, high = limits.T
+        every = stops.every()
         designs: dict[int, CandidateDesign] = {}
-        comparisons = []
-        for one in arm.hypotheses:
+        comparisons, begun = [], []
+        for one in hypotheses:
             if id(one.fit) not in designs:
-                designs[id(one.fit)] = CandidateDesign.of(one.data, one.fit, q, conditions)
-            discriminations = one.discriminations(designs[id(one.fit)])
-            comparisons.append((one, _decidable(discriminations, one.needed, arm.run.count)))
-        begun = [(one, each.start_design()) for one, comparison in comparisons for each in comparison]
-        return cls(arm.run, approaches, ((start >= low) & (start <= high)).all(axis=2), comparisons, begun)
-
-    @property
-    def name(self) -> str:
-        """Name of the arm."""
-        return self.run.name
+                designs[id(one.fit)] = CandidateDesign.of(one.data, one.fit, *every)
+            both = [(each, each.start_design()) for each in one.discriminations(designs[id(one.fit)])]
+            both = _decidable(both, one.needed, stops.count)
+            comparisons.append((one, [each for each, _ in both]))
+            begun += [(one, design) for _, design in both]
+        allowed = ((start >= low) & (start <= high)).all(axis=2)
+        return cls(stops, allowed, np.zeros(poses, dtype=np.intp), comparisons, begun)
 
     def gains(self, stops: int) -> Array:
         """Compute the gain (n, f) of each candidate over all hypotheses, at most 1; -inf where it is not allowed."""
@@ -289,24 +277,19 @@ class ArmCandidates:
     def add(self, pose: int, approach: int) -> None:
         """Add a candidate to the designs; it cannot be chosen again."""
         for _, design in self.designs:
-            design.add(pose * len(self.approaches) + approach)
+            design.add(pose * len(self.stops.approaches) + approach)
+        self.used[pose] += 1
         self.allowed[pose, approach] = False
-
-    def start_of_last_step(self, poses: CandidatePoses, pose: int, approach: int) -> Array | None:
-        """Return where the last step to a candidate begins (N,) [rad]; None if it has none."""
-        step = self.approaches.steps[pose, approach]
-        return poses.q[self.name][pose] - step if step.any() else None
+        if self.used[pose] == _MOST_OFTEN:
+            self.allowed[pose] = False
 
 
-def _decidable(comparison: list[TwoModels], needed: float, count: int) -> list[TwoModels]:
+def _decidable(
+    comparison: list[tuple[TwoModels, SequentialDesign]], needed: float, count: int
+) -> list[tuple[TwoModels, SequentialDesign]]:
     """Drop laws that contain the effect itself (as dry friction contains backlash), unless all do."""
-    decidable = []
-    for one in comparison:
-        design = one.start_design()
-        most = design.noncentrality + count * float(design.gains().max(initial=0.0))
-        if most > HOPELESS * needed:
-            decidable.append(one)
-    return decidable or comparison
+    most = [design.noncentrality + count * float(design.gains().max(initial=0.0)) for _, design in comparison]
+    return [one for one, its in zip(comparison, most, strict=True) if its > HOPELESS * needed] or comparison
 
 
 # -- Candidate poses of all arms for further stops: visible to the tracker, free of collision, and easy to reach ------
@@ -370,22 +353,18 @@ def candidate_poses(
     described = profile.tracker.pose is not None and all(
         arm.base is not None and arm.home is not None and arm.type.capsules for arm in profile.arms.values()
     )
-    if described:
-        return _sampled_poses(profile, effort, rng, job), []
-    note = (
-        "candidates are configurations that were measured, as the profile does not say where arms and tracker stand;"
-        " the motions to them were not checked for collisions"
-    )
-    return _measured_poses(readings, effort, rng), [note]
-
-
-def _sampled_poses(profile: Profile, effort: Effort, rng: np.random.Generator, job: JobToken) -> CandidatePoses:
+    if not described:
+        note = (
+            "candidates are configurations that were measured, as the profile does not say where arms and tracker"
+            " stand; the motions to them were not checked for collisions"
+        )
+        return _measured_poses(readings, effort, rng), [note]
     gate, homes = cell_bodies(profile), home_positions(profile)
     sampled = sample_stops(gate, profile, effort.sampled, rng, job)
     reached = np.all([ArmRoadmap(profile, gate, name, rng).reaches(q) for name, q in sampled.items()], axis=0)
     if not reached.any():
         raise InputError("propose: no candidate can be reached; make plan.clearance smaller")
-    return CandidatePoses({name: q[reached][: effort.kept] for name, q in sampled.items()}, gate, homes)
+    return CandidatePoses({name: q[reached][: effort.kept] for name, q in sampled.items()}, gate, homes), []
 
 
 def _measured_poses(readings: Mapping[str, Readings], effort: Effort, rng: np.random.Generator) -> CandidatePoses:
@@ -398,11 +377,6 @@ def _measured_poses(readings: Mapping[str, Readings], effort: Effort, rng: np.ra
         row_of = {stop: row for row, stop in enumerate(arm.configuration.tolist())}
         q[name] = arm.q[[row_of[stop] for stop in stops]]
     return CandidatePoses(q, None, {})
-
-
-def alone(gate: CellBodies, name: str) -> CellBodies:
-    """Return the cell with one arm only."""
-    return replace(gate, arms={name: gate.arms[name]})
 
 
 # -- Value of proposed stops: discrimination of each hypothesis now, with them, and with equally many random ones -----
@@ -419,15 +393,11 @@ _WORTH_A_LOAD = 1.5
 
 
 def predict_arm(
-    arm: ArmCandidates,
-    poses: CandidatePoses,
-    pose: NDArray[np.intp],
-    approach: NDArray[np.intp],
-    rng: np.random.Generator,
+    arm: ArmCandidates, pose: NDArray[np.intp], approach: NDArray[np.intp], rng: np.random.Generator
 ) -> tuple[list[ProposalQuestion], list[str]]:
     """Predict what the chosen candidates decide of an arm's hypotheses; return also advice to change its payload."""
-    chosen = pose * len(arm.approaches) + approach
-    samples = [rng.integers(0, len(poses) * len(arm.approaches), len(chosen)) for _ in range(_RANDOM_DESIGNS)]
+    chosen = pose * len(arm.stops.approaches) + approach
+    samples = [rng.integers(0, arm.allowed.size, len(chosen)) for _ in range(_RANDOM_DESIGNS)]
     nothing = np.array([], dtype=np.intp)
     questions, advice = [], []
     for one, comparison in arm.comparisons:
@@ -440,7 +410,7 @@ def predict_arm(
             gain_over_random=proposed / max(random, 1e-12),
         )
         questions.append(question)
-        advice += _load_advice(arm, one, poses, pose, approach, proposed)
+        advice += _load_advice(arm.stops, one, pose, approach, proposed)
     return questions, advice
 
 
@@ -450,26 +420,21 @@ def _least(comparison: Sequence[TwoModels], chosen: NDArray[np.intp]) -> float:
 
 
 def _load_advice(
-    arm: ArmCandidates,
-    hypothesis: Hypothesis,
-    poses: CandidatePoses,
-    pose: NDArray[np.intp],
-    approach: NDArray[np.intp],
-    proposed: float,
+    stops: CandidateStops, hypothesis: Hypothesis, pose: NDArray[np.intp], approach: NDArray[np.intp], proposed: float
 ) -> list[str]:
     """Advise another payload at every second stop, if the stops do not decide and the run had one payload."""
-    conditions = arm.run.conditions
+    payload_kg = stops.conditions.payload_kg
     depends = any(InputVariable.PAYLOAD in EFFECTS[slug].variables for slug in hypothesis.effects)
     decided = bool(hypothesis.against) and proposed >= hypothesis.needed
-    if not depends or decided or varies(conditions.payload_kg):
+    if not depends or decided or varies(payload_kg):
         return []
     bodies = hypothesis.data.model.bodies
-    present = last_known(conditions.payload_kg, 1)
+    present = last_known(payload_kg, 1)
     now_kg = bodies.payload_mass if present is None else float(present[0])
     steps = round(_LOAD_SHARE * float(bodies.masses.sum()) / _LEAST_LOAD_STEP_KG)
     more_kg = max(steps * _LEAST_LOAD_STEP_KG, _LEAST_LOAD_STEP_KG)
     load_kg: Array = now_kg + more_kg * (np.arange(len(pose)) % 2).astype(np.float64)
-    q, expected = arm.run.candidates(poses, arm.approaches, pose, approach, load_kg)
+    q, expected = stops.at(pose, approach, load_kg)
     design = CandidateDesign.of(hypothesis.data, hypothesis.fit, q, expected)
     loaded = _least(hypothesis.discriminations(design), np.arange(len(pose)))
     if loaded < _WORTH_A_LOAD * proposed:
@@ -477,7 +442,7 @@ def _load_advice(
     titles = " and ".join(EFFECTS[slug].title for slug in hypothesis.effects)
     aim = f"distinguish {titles}" if hypothesis.against else f"show {titles}"
     return [
-        f"arm {arm.name}: another load would {aim} better: {now_kg + more_kg:g} kg instead of {now_kg:g} kg at every"
+        f"arm {stops.name}: another load would {aim} better: {now_kg + more_kg:g} kg instead of {now_kg:g} kg at every"
         f" second stop would bring the discrimination to {loaded:.0f} instead of {proposed:.0f}; a person"
         " must attach it, if the arm may carry it, and enter it in the controller"
     ]
@@ -544,36 +509,34 @@ def propose_stops(
     rng = np.random.default_rng([profile.seed, _PROPOSAL_SEED, max(len(arm) for arm in readings.values())])
     job.tell("propose", 0, count, "candidates")
     poses, notes = candidate_poses(profile, readings, effort, rng, job)
-    hypotheses = [
-        ArmHypotheses.of(arm, model.arms, found[name], poses, count, effort, rng)
+    asked = [
+        open_questions(arm, model.arms, found[name], poses, count, rng)
         for name, arm in ArmReadings.of_cell(profile, model.arms, readings).items()
     ]
-    if not any(arm.hypotheses for arm in hypotheses):
+    if not any(hypotheses for _, hypotheses in asked):
         raise InputError("propose: no effect is ambiguous or hidden, so further stops have nothing to decide")
-    poses = poses.first(min(arm.affordable_poses for arm in hypotheses))
-    arms = [ArmCandidates.of(arm, poses) for arm in hypotheses]
-    coupled = any(InputVariable.OTHER_ARM in arm.variables for arm in hypotheses)
-    selection = StopSelection(arms, poses, coupled or poses.gate is None, rng)
-    chosen = selection.select(count, job)
+    poses = poses.first(min(_affordable_poses(*of_arm, effort.candidates) for of_arm in asked))
+    arms = [
+        ArmCandidates.of(replace(stops, poses=poses), hypotheses, np.array(profile.arms[stops.name].joint_limits))
+        for stops, hypotheses in asked
+    ]
+    coupled = any(InputVariable.OTHER_ARM in _variables(hypotheses) for _, hypotheses in asked)
+    chosen = StopSelection(arms, poses, coupled or poses.gate is None, rng).select(count, job)
     if not chosen:
         raise InputError("propose: the motion check refused all candidates; reduce plan.clearance, or move the bases")
     if len(chosen) < count:
         notes.append(f"only {len(chosen)} of {counted(count, 'stop')}: the motion check refused the other candidates")
     questions: dict[str, tuple[ProposalQuestion, ...]] = {}
     advice = [words for name in model.arms for words in _unnamed_advice(name, found[name].result.unnamed)]
-    taken = {arm.name: np.array([one.poses[k] for one in chosen], dtype=np.intp) for k, arm in enumerate(arms)}
-    stops = straight_stops({name: poses.q[name][pose] for name, pose in taken.items()})
+    taken = {arm.stops.name: np.array([one[k] for one in chosen]).T for k, arm in enumerate(arms)}
+    stops = straight_stops({name: poses.q[name][pose] for name, (pose, _) in taken.items()})
     stops.proposed[:] = True
-    for number, arm in enumerate(arms):
-        pose = taken[arm.name]
-        approach = np.array([one.approaches[number] for one in chosen], dtype=np.intp)
-        of_arm, advice_of_arm = predict_arm(arm, poses, pose, approach, rng)
-        questions.update({arm.name: tuple(of_arm)} if of_arm else {})
+    for arm, (name, (pose, approach)) in zip(arms, taken.items(), strict=True):
+        of_arm, advice_of_arm = predict_arm(arm, pose, approach, rng)
+        questions.update({name: tuple(of_arm)} if of_arm else {})
         advice += advice_of_arm
-        step = arm.approaches.steps[pose, approach]
-        moved = step.any(axis=1)
-        stops.approach_from[arm.name][moved] = (stops.q[arm.name] - step)[moved]
-        stops.dwell_s[arm.name][:] = arm.approaches.dwells[approach]
+        stops.approach_from[name][:] = begin_of(stops.q[name], arm.stops.approaches.steps[pose, approach])
+        stops.dwell_s[name][:] = arm.stops.approaches.dwells[approach]
     job.tell("propose", count, count, "done")
     return Proposal(stops, questions, tuple(notes), tuple(dict.fromkeys(advice)))
 
@@ -591,12 +554,8 @@ _REFUSALS = 400
 """Refusals in a row after which the search for a further stop ends: bounds the time in a crowded cell."""
 
 
-@dataclass(frozen=True)
-class ChosenStop:
-    """The pose of each arm, and the approach to it."""
-
-    poses: tuple[int, ...]
-    approaches: tuple[int, ...]
+ChosenStop = tuple[tuple[int, int], ...]
+"""Of each arm its pose, and the approach to it."""
 
 
 @dataclass(eq=False)
@@ -623,29 +582,21 @@ class StopSelection:
 
     def select(self, count: int, job: JobToken) -> list[ChosenStop]:
         """Choose ``count`` stops, each the best in addition to those before; fewer if the gate refuses."""
-        used = [np.zeros(len(self.poses), dtype=np.intp) for _ in self.arms]
         found: list[ChosenStop] = []
         while len(found) < count:
             job.check()
             job.tell("propose", len(found), count, "stops")
-            stop = self._next(used, count - len(found))
+            stop = self._next(count - len(found))
             if stop is None:
                 break
-            for arm, counts, pose, approach in zip(self.arms, used, stop.poses, stop.approaches, strict=True):
-                arm.add(pose, approach)
-                counts[pose] += 1
+            for arm, candidate in zip(self.arms, stop, strict=True):
+                arm.add(*candidate)
             found.append(stop)
         return [found[k] for k in self.rng.permutation(len(found))]
 
-    def target(self, stop: ChosenStop) -> dict[str, Array]:
-        """Return the joint positions of the arms at a stop."""
-        return {arm.name: self.poses.q[arm.name][pose] for arm, pose in zip(self.arms, stop.poses, strict=True)}
-
-    def _next(self, used: list[NDArray[np.intp]], stops: int) -> ChosenStop | None:
+    def _next(self, stops: int) -> ChosenStop | None:
         """Choose the best stop whose last steps the gate accepts; None if there is none."""
         gains = [arm.gains(stops) for arm in self.arms]
-        for gain, counts in zip(gains, used, strict=True):
-            gain[counts >= _MOST_OFTEN] = -math.inf
         for _ in range(_REFUSALS):
             stop = self._best(gains)
             if stop is None:
@@ -655,9 +606,9 @@ class StopSelection:
                 return stop
             self.refused.add(stop)
             for number in refused_arms:
-                self.arms[number].allowed[stop.poses[number], stop.approaches[number]] = False
+                self.arms[number].allowed[stop[number]] = False
             for number in refused_arms or [_least_loss(gains, stop)]:
-                gains[number][stop.poses[number], stop.approaches[number]] = -math.inf
+                gains[number][stop[number]] = -math.inf
         return None
 
     def _best(self, gains: Sequence[Array]) -> ChosenStop | None:
@@ -665,31 +616,28 @@ class StopSelection:
         by_pose = [gain.max(axis=1) for gain in gains]
         if self.paired:
             by_pose = [np.sum(by_pose, axis=0)] * len(self.arms)
-        poses = tuple(int(np.argmax(best)) for best in by_pose)
+        poses = [int(np.argmax(best)) for best in by_pose]
         if any(not math.isfinite(float(best[pose])) for best, pose in zip(by_pose, poses, strict=True)):
             return None
-        return ChosenStop(poses, tuple(int(np.argmax(gain[pose])) for gain, pose in zip(gains, poses, strict=True)))
+        return tuple((pose, int(np.argmax(gain[pose]))) for gain, pose in zip(gains, poses, strict=True))
 
-    def _start(self, stop: ChosenStop) -> dict[str, Array]:
-        """Return where the last steps to a stop begin; an arm without one is there already."""
-        starts = self.target(stop)
-        for arm, pose, approach in zip(self.arms, stop.poses, stop.approaches, strict=True):
-            start = arm.start_of_last_step(self.poses, pose, approach)
-            if start is not None:
-                starts[arm.name] = start
-        return starts
+    def _last_motion(self, stop: ChosenStop) -> tuple[dict[str, Array], dict[str, Array]]:
+        """Return where the last steps to a stop begin, and the stop; an arm without a step is there already."""
+        target = {arm.stops.name: self.poses.q[arm.stops.name][pose] for arm, (pose, _) in zip(self.arms, stop)}
+        steps = [arm.stops.approaches.steps[one] for arm, one in zip(self.arms, stop, strict=True)]
+        return {name: q - step for (name, q), step in zip(target.items(), steps, strict=True)}, target
 
     def _arms_refused_alone(self, stop: ChosenStop) -> list[int]:
         """Return indices of the arms whose last step the gate refuses whatever the others do."""
         gate = self.poses.gate
         if gate is None:
             return []
-        target, start = self.target(stop), self._start(stop)
+        start, target = self._last_motion(stop)
         return [
             number
-            for number, arm in enumerate(self.arms)
-            if start[arm.name] is not target[arm.name]
-            and refuse_motion(alone(gate, arm.name), {arm.name: start[arm.name]}, {arm.name: target[arm.name]})
+            for number, name in enumerate(target)
+            if not np.array_equal(start[name], target[name])
+            and refuse_motion(replace(gate, arms={name: gate.arms[name]}), {name: start[name]}, {name: target[name]})
         ]
 
     def _refused_together(self, stop: ChosenStop) -> bool:
@@ -697,7 +645,7 @@ class StopSelection:
         gate, homes = self.poses.gate, self.poses.homes
         if gate is None:
             return False
-        start, target = self._start(stop), self.target(stop)
+        start, target = self._last_motion(stop)
         if not self.paired and not visible_stops(gate, {name: q[None] for name, q in target.items()})[0]:
             return True
         return bool(refuse_motion(gate, start, target)) or not (
@@ -708,10 +656,10 @@ class StopSelection:
 def _least_loss(gains: Sequence[Array], stop: ChosenStop) -> int:
     """Return the index of the arm whose second best candidate is nearest to its best."""
     losses = []
-    for gain, pose, approach in zip(gains, stop.poses, stop.approaches, strict=True):
+    for gain, best in zip(gains, stop, strict=True):
         rest = gain.copy()
-        rest[pose, approach] = -math.inf
-        losses.append(float(gain[pose, approach] - rest.max()))
+        rest[best] = -math.inf
+        losses.append(float(gain[best] - rest.max()))
     return int(np.argmin(losses))
 
 

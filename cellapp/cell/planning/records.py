@@ -66,11 +66,6 @@ class JointCoverage(Record):
     used: tuple[float, float]
     largest_gap: float
 
-    @property
-    def share(self) -> float:
-        """Used range over the allowed one."""
-        return (self.used[1] - self.used[0]) / max(self.allowed[1] - self.allowed[0], 1e-12)
-
 
 class PlannedTime(Record):
     """Estimated time of collecting a plan [s], by what it is spent on."""
@@ -170,11 +165,6 @@ class TravelTime(Record):
     planned_s: float
     random_order_s: float
 
-    @property
-    def saved(self) -> float:
-        """Share of the travel time of a random order that the plan saves."""
-        return 1.0 - self.planned_s / max(self.random_order_s, 1e-12)
-
 
 class PlanDesignResult(Result, schema="cellapp-plan-design"):
     """What ``plan`` knows of a designed plan; stored in the run."""
@@ -193,16 +183,3 @@ class PlanDesignResult(Result, schema="cellapp-plan-design"):
         """Of the factors that can be chosen."""
         chosen = [one for one in self.correlations if one.can_be_chosen]
         return max(chosen, key=lambda one: abs(one.correlation), default=None)
-
-
-class ConstraintShare(Record):
-    """Share of configurations that a constraint excludes ``alone``, and that could be measured ``without`` it.
-
-    ``extent`` says what is there against what is allowed, and by how much the nearest configuration misses.
-    """
-
-    constraint: str
-    alone: float
-    without: float
-    extent: str
-    advice: str

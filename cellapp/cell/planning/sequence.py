@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from typing import Literal
 
@@ -13,9 +13,16 @@ from numpy.typing import NDArray
 from cellapp.cell.planning.arrangement import Arrangement, StopSet, arrange, block_count
 from cellapp.cell.planning.balance import FactorPlan
 from cellapp.cell.planning.candidates import joint_ranges
-from cellapp.cell.planning.planned_stops import Configuration, PlannedStops, Route, can_go, joined_after, straight_stops
+from cellapp.cell.planning.planned_stops import (
+    Configuration,
+    PlannedStops,
+    Route,
+    begin_of,
+    can_go,
+    joined_after,
+    straight_stops,
+)
 from cellapp.cell.planning.transit_paths import Move, TransitPlanner
-from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.safety.gate import CellBodies, FreeMotions, clear_stops, refuse_motion
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
@@ -28,42 +35,39 @@ _LARGEST_REPEATED_SHARE = 4
 """At most every fourth stop is a repeat."""
 
 
-@dataclass(frozen=True, eq=False)
-class Sequenced:
-    """A plan, and one sentence on each chosen configuration or stop that was given up, with the reason."""
-
-    stops: PlannedStops
-    given_up: tuple[str, ...]
-
-
 def sequenced(
-    profile: Profile,
-    cell: CellBodies,
+    finder: TransitPlanner,
     chosen: Mapping[str, Array],
     rng: np.random.Generator,
     job: JobToken = UNATTENDED,
-    after: Mapping[str, Array] | None = None,
-    finder: TransitPlanner | None = None,
-) -> Sequenced:
+    after: Configuration | None = None,
+    repeats: int | None = None,
+) -> tuple[PlannedStops, list[str]]:
     """Pair the chosen stops of all arms, order them, plan their factors and paths.
 
     ``plan.stops`` and ``plan.reserve`` stops are planned, reserves last, or fewer if fewer are chosen. Further ones
-    replace those that no motion reaches; ``plan.repeats`` stops are visited twice in place of others.
+    replace those that no motion reaches; some stops are visited twice in place of others.
 
     Parameters
     ----------
-    profile : Profile
-    cell : CellBodies
+    finder : TransitPlanner
+        Of the cell.
     chosen : mapping
         Arm -> joint positions (n, N) [rad], the most important first. Joints may be planned at whole turns from these.
     rng : numpy.random.Generator
     job
         Progress and cancelling.
     after : mapping, optional
-        Arm -> stops (k, N) that exist already: the new ones begin at the last of them. As many stops are planned as are
-        chosen, without reserves.
-    finder : TransitPlanner, optional
-        A planner of the same cell, whose cached answers are used; by default a new one.
+        The last of the stops that exist already, at which the new ones begin. As many stops are planned as are chosen,
+        without reserves.
+    repeats : int, optional
+        Stops that are visited twice, if there are enough; by default ``plan.repeats``.
+
+    Returns
+    -------
+    PlannedStops
+    list of str
+        One sentence on each chosen configuration or stop that was given up, with the reason.
 
     Raises
     ------
@@ -71,34 +75,34 @@ def sequenced(
         If no stop can be reached.
     Cancelled
     """
-    homes = home_positions(profile)
-    home: Configuration | None = homes if set(homes) == set(cell.arms) else None
-    begun = after is not None and len(next(iter(after.values()))) > 0
-    start = {name: q[-1] for name, q in after.items()} if begun and after is not None else home
-    finder = finder or TransitPlanner(profile, cell, rng)
-    parts = _Parts(profile, cell, home, finder, rng, job, [])
-    q = {name: _reached(profile, cell, name, rows, parts.finder, parts.given_up) for name, rows in chosen.items()}
-    if not min(map(len, q.values())):
-        raise InputError(f"plan: none of the chosen stops can be reached. {' '.join(parts.given_up[:1])}".strip())
-    n = min(map(len, chosen.values()))
-    if after is not None:
-        planned = parts.all_of(q, n, 0, start)
-    else:
-        reserve = min(profile.plan.reserve, n - 1)
-        planned = parts.all_of(q, min(n - reserve, profile.plan.stops), reserve, start)
+    plan, given_up = finder.profile.plan, list[str]()
+    q = {name: _reached(finder, name, rows, given_up) for name, rows in chosen.items()}
+    usable, n = min(map(len, q.values())), min(map(len, chosen.values()))
+    if not usable:
+        raise InputError(f"plan: none of the chosen stops can be reached. {' '.join(given_up[:1])}".strip())
+    reserve = min(plan.reserve, n - 1) if after is None else 0
+    asked = min(n - reserve, plan.stops) if after is None else n
+    repeats = min(plan.repeats if repeats is None else repeats, asked // _LARGEST_REPEATED_SHARE)
+    distinct = min(asked - repeats, usable)
+    repeats = min(repeats, distinct // (_LARGEST_REPEATED_SHARE - 1))
+    first = {name: rows[:distinct] for name, rows in q.items()}
+    planned = _part(finder, first, repeats, after or finder.home, rng, job, given_up)
+    if min(reserve, usable - distinct):
+        rest = {name: rows[distinct : min(distinct + reserve, usable)] for name, rows in q.items()}
+        second = _part(finder, rest, 0, planned.targets(len(planned) - 1), rng, job, given_up)
+        planned = joined_after(planned, second)
     job.tell(_JOB, len(planned), len(planned), "done")
-    return Sequenced(planned, tuple(parts.given_up))
+    return planned, given_up
 
 
-def _reached(
-    profile: Profile, cell: CellBodies, name: str, q: Array, finder: TransitPlanner, given_up: list[str]
-) -> Array:
+def _reached(finder: TransitPlanner, name: str, q: Array, given_up: list[str]) -> Array:
     """Select the configurations (m, N) that the arm alone can reach, in the turns in which they are planned."""
-    shifted = nearest_turns(profile, cell, name, q)
-    reached = finder.roadmaps[name].reaches(shifted)
+    cell, roadmap = finder.cell, finder.roadmaps[name]
+    shifted = nearest_turns(finder.profile, cell, name, q)
+    reached = roadmap.reaches(shifted)
     if not reached.all():
         alone, lost = replace(cell, arms={name: cell.arms[name]}), shifted[np.argmin(reached)]
-        reason = refuse_motion(alone, {name: finder.roadmaps[name].rest}, {name: lost})
+        reason = refuse_motion(alone, {name: roadmap.rest}, {name: lost})
         given_up.append(
             f"arm {name}: {np.sum(~reached)} of {len(q)} chosen configurations cannot be reached from home, the first:"
             f" {reason or 'within the allowance for sampled paths'}"
@@ -118,54 +122,36 @@ def nearest_turns(profile: Profile, cell: CellBodies, name: str, q: Array) -> Ar
     return np.where(beyond > 0.0, q, near)
 
 
-@dataclass(frozen=True, eq=False)
-class _Parts:
-    """State that the parts of a plan share."""
-
-    profile: Profile
-    cell: CellBodies
-    home: Configuration | None
-    finder: TransitPlanner
-    rng: np.random.Generator
-    job: JobToken
-    given_up: list[str]
-
-    def all_of(self, q: Mapping[str, Array], asked: int, reserve: int, start: Configuration | None) -> PlannedStops:
-        """Plan ``asked`` stops, with repeats, and reserves after them, as far as there are configurations for them."""
-        usable = min(map(len, q.values()))
-        repeats = min(self.profile.plan.repeats, asked // _LARGEST_REPEATED_SHARE)
-        distinct = min(asked - repeats, usable)
-        repeats = min(repeats, distinct // (_LARGEST_REPEATED_SHARE - 1))
-        first = self.part({name: rows[:distinct] for name, rows in q.items()}, repeats, start)
-        if not min(reserve, usable - distinct):
-            return first
-        rest = {name: rows[distinct : min(distinct + reserve, usable)] for name, rows in q.items()}
-        second = self.part(rest, 0, first.targets(len(first) - 1))
-        return joined_after(first, second)
-
-    def part(self, q: Mapping[str, Array], repeats: int, start: Configuration | None) -> PlannedStops:
-        """Plan stops that follow ``start``; from the last one the arms can go home."""
-        n = min(map(len, q.values())) + repeats
-        steps = JobSteps(lambda done, words: self.job.tell(_JOB, done, n, words), self.job)
-        steps(0, "pairs and order")
-        least = min(map(len, q.values()))
-        stops = StopSet(self.profile, self.cell, {name: rows[:least] for name, rows in q.items()})
-        arrangement = arrange(stops, block_count(self.profile.plan.blocks, n), repeats, self.rng, self.job)
-        arrangement = repair_order(stops, arrangement, start, self.home, self.finder.gate, self.job)
-        at = stops.at(arrangement.rows)
-        factors = FactorPlan(self.profile, self.cell, at, arrangement.block, arrangement.repeat_of, self.rng)
-        legs = LegPlanner(self.cell, at, arrangement, factors, self.finder, start)
-        planned = legs.plan(steps)
-        self.given_up.extend(legs.given_up)
-        while len(planned) and not (
-            self.home is None or can_go(self.cell, planned.targets(len(planned) - 1), self.home)
-        ):
-            planned = planned.take(range(len(planned) - 1))
-            self.given_up.append("the last stop has no way home")
-        if not len(planned):
-            reason = legs.given_up[0] if legs.given_up else "the arms cannot go home from it"
-            raise InputError(f"plan: none of the chosen stops can be reached: {reason}")
-        return planned
+def _part(
+    finder: TransitPlanner,
+    q: Mapping[str, Array],
+    repeats: int,
+    start: Configuration | None,
+    rng: np.random.Generator,
+    job: JobToken,
+    given_up: list[str],
+) -> PlannedStops:
+    """Plan stops that follow ``start``; from the last one the arms can go home."""
+    profile, cell, home = finder.profile, finder.cell, finder.home
+    least = min(map(len, q.values()))
+    n = least + repeats
+    steps = JobSteps(lambda done, words: job.tell(_JOB, done, n, words), job)
+    steps(0, "pairs and order")
+    stops = StopSet(profile, cell, {name: rows[:least] for name, rows in q.items()})
+    arrangement = arrange(stops, block_count(profile.plan.blocks, n), repeats, rng, job)
+    arrangement = repair_order(stops, arrangement, start, home, finder.gate, job)
+    at = stops.at(arrangement.rows)
+    factors = FactorPlan(profile, cell, at, arrangement.block, arrangement.repeat_of, rng)
+    legs = LegPlanner(at, arrangement, factors, finder, start)
+    planned = legs.plan(steps)
+    given_up += legs.given_up
+    while len(planned) and home is not None and not can_go(cell, planned.targets(len(planned) - 1), home):
+        planned = planned.take(range(len(planned) - 1))
+        given_up.append("the last stop has no way home")
+    if not len(planned):
+        reason = legs.given_up[0] if legs.given_up else "the arms cannot go home from it"
+        raise InputError(f"plan: none of the chosen stops can be reached: {reason}")
+    return planned
 
 
 # -- Last motions and paths of an arrangement of stops: where the gate refuses, other sides and steps, or a detour ----
@@ -189,14 +175,13 @@ class LegPlanner:
 
     def __init__(
         self,
-        cell: CellBodies,
         q: Mapping[str, Array],
         arrangement: Arrangement,
         factors: FactorPlan,
         finder: TransitPlanner,
         start: Configuration | None,
     ) -> None:
-        self._cell, self._q, self._arrangement = cell, q, arrangement
+        self._q, self._arrangement = q, arrangement
         self._factors, self._finder, self._start = factors, finder, start
         self._step = factors.approaches()
         self._before: dict[int, Configuration | None] = {}
@@ -228,7 +213,7 @@ class LegPlanner:
         self._factors.improve(self._step, changeable, self._accepts)
         whole = replace(
             straight_stops(self._q),
-            approach_from={name: _begin(q, self._step[name]) for name, q in self._q.items()},
+            approach_from={name: begin_of(q, self._step[name]) for name, q in self._q.items()},
             dwell_s=self._factors.dwell_s(self._step),
             block=self._arrangement.block,
             repeat_of=self._arrangement.repeat_of,
@@ -269,8 +254,7 @@ class LegPlanner:
         self._set(stop, usable)
         if here is None:
             return ()
-        found = self._finder.find(here, self._begin_of(stop, usable))
-        return found if isinstance(found, str) else found.legs
+        return self._finder.find(here, self._begin_of(stop, usable))
 
     def _steps_to(self, stop: int, here: Configuration | None, own: Steps) -> Iterator[Steps]:
         """Yield the planned steps of a stop, then others whose last motion begins where the arms are clear.
@@ -300,7 +284,7 @@ class LegPlanner:
             name: np.concatenate([q[stop] - steps[name] for stop, steps in sampled.items()])
             for name, q in self._q.items()
         }
-        free = np.split(clear_stops(self._cell, begins), len(sampled))
+        free = np.split(clear_stops(self._finder.cell, begins), len(sampled))
         return {
             stop: [{name: rows[k] for name, rows in steps.items()} for k in np.flatnonzero(of_stop).tolist()]
             for (stop, steps), of_stop in zip(sampled.items(), free, strict=True)
@@ -347,11 +331,6 @@ class LegPlanner:
         for name, step in steps.items():
             self._step[name][copies] = -step
             self._step[name][stop] = step
-
-
-def _begin(q: Array, step: Array) -> Array:
-    """Compute where the last motions begin (n, N) [rad]; NaN where no joint moves."""
-    return np.where(np.any(step != 0.0, axis=1, keepdims=True), q - step, np.nan)
 
 
 # -- Repair of the order of stops where the gate refuses a straight motion, or a block ends: parts are moved -----------

@@ -56,7 +56,7 @@ _DELAY_SD_S = 1.0
 @dataclass(frozen=True, eq=False)
 class SweepDesign:
     """An arm before anything moves, and the quantities that its sweeps are to determine: parameters of the geometry and
-    ``terms``, each in units of its prior standard deviation ``unit``."""
+    ``terms``, each in units of its prior standard deviation ``unit``; and the information matrix (P, P) so far."""
 
     profile: Profile
     model: ArmModel
@@ -64,10 +64,14 @@ class SweepDesign:
     estimated: ParameterSet
     terms: tuple[JointTerm, ...]
     unit: Array
+    information: Array
 
     @classmethod
-    def of(cls, profile: Profile, name: str) -> SweepDesign:
+    def of(cls, profile: Profile, name: str, stops: Array, direction: Array) -> SweepDesign:
         """Set up for the geometry and those effects of ``plan.effects`` that recordings can show.
+
+        The information is that of the priors and the stops (n, N) [rad], which the joints reached in ``direction`` (n,
+        N).
 
         Raise ``InputError`` if the profile does not describe the cell, or its parameter set is not for this arm.
         """
@@ -77,12 +81,9 @@ class SweepDesign:
         terms = tuple(term for term in foreseen if wanted is None or term.law.value in wanted)
         unit = np.array([*sds, *(term.prior_sd for term in terms), _DELAY_SD_S])
         masses = Masses(model.geometry, model.bodies, model.up_M)
-        return cls(profile, model, masses, estimated, terms, np.minimum(unit, _UNKNOWN))
-
-    def before(self, stops: Array, direction: Array) -> Array:
-        """Compute the information matrix (P, P) of the priors and the stops (n, N) [rad] of an arm, which the joints
-        reached in ``direction`` (n, N)."""
-        return np.eye(len(self.unit)) + self._information(state_at_rest(stops, direction, self.masses))
+        unmoved = cls(profile, model, masses, estimated, terms, np.minimum(unit, _UNKNOWN), np.eye(len(unit)))
+        at_stops = unmoved._told_by(state_at_rest(stops, direction, masses))
+        return replace(unmoved, information=unmoved.information + at_stops)
 
     def told(self, motion: Sweep) -> Array:
         """Compute the information matrix (P, P) of one sweep, from points that tell as much as one stop each."""
@@ -93,9 +94,9 @@ class SweepDesign:
         state = state_in_motion(path, chosen, None)
         # torques at these few times only: a fit would need them at hundreds of times as many
         torque = torques_in_motion(path, chosen, self.masses)
-        return self._information(JointState(state.q, state.qd, state.direction, torque))
+        return self._told_by(JointState(state.q, state.qd, state.direction, torque))
 
-    def _information(self, state: JointState) -> Array:
+    def _told_by(self, state: JointState) -> Array:
         covariance = tracker_covariance(self.profile.tracker, smr_positions(self.model.geometry, state.q))
         covariance = covariance + EXPECTED_SCATTER_M**2 * np.eye(3)
         information = motion_information(self.model.geometry, self.estimated, self.terms, state, covariance)
@@ -169,16 +170,6 @@ class PlannedSweeps(Record):
     notes: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, eq=False)
-class _Known:
-    """Knowledge about one arm: the joint positions of all its stops (n, N) [rad], what its sweeps are to determine, and
-    the information matrix (P, P) so far."""
-
-    stops: Array
-    design: SweepDesign
-    information: Array
-
-
 def read_sweeps(run: RunFile) -> tuple[PlannedSweep, ...]:
     """Read the planned sweeps of a run, empty if there are none. Raise ``InputError`` if their document is damaged."""
     return read_planned_sweeps(run).sweeps
@@ -203,23 +194,22 @@ def plan_sweeps(profile: Profile, stops: PlannedStops, job: JobToken = UNATTENDE
     swinging = profile.plan.other_arm == "swinging"
     if swinging and len(profile.arms) != 2:
         raise InputError(f"plan.other_arm: swinging is for cells of two arms, this one has {len(profile.arms)}")
-    step, known = last_motions(stops, home_positions(profile)), {}
-    for name, q in stops.q.items():
-        design = SweepDesign.of(profile, name)
-        known[name] = _Known(q, design, design.before(q, np.sign(step[name])))
+    step = last_motions(stops, home_positions(profile))
+    designs = {name: SweepDesign.of(profile, name, q, np.sign(step[name])) for name, q in stops.q.items()}
     refused: list[str] = []
     for stop in range(len(stops)):
         job.tell("sweeps", stop, len(stops), f"sweeps about stop {stop + 1}")
         at = stops.targets(stop)
-        for number, name in enumerate(stops.q):
+        for number, (name, q) in enumerate(stops.q.items()):
             job.check()
             rng = np.random.default_rng([profile.seed, 0x5EEB, stop, number])
-            motion = _sweep_about(profile, cell, name, at, _PERIODS_S[stop % len(_PERIODS_S)], known[name], rng)
+            towards = q[rng.integers(len(q), size=_SAMPLES)]
+            motion = _sweep_about(cell, name, at, towards, _PERIODS_S[stop % len(_PERIODS_S)], designs[name], rng)
             if motion is None:
                 refused.append(f"arm {name}: no sweep about stop {stop + 1} keeps clear and seen")
                 continue
-            told = known[name].information + known[name].design.told(motion)
-            known[name] = replace(known[name], information=told)
+            told = designs[name].information + designs[name].told(motion)
+            designs[name] = replace(designs[name], information=told)
             beside = _swing_beside(profile, cell, name, motion, at, rng) if swinging else None
             if swinging and beside is None:
                 refused.append(
@@ -269,21 +259,21 @@ def _swing_beside(
 
 
 def _sweep_about(
-    profile: Profile,
     cell: CellBodies,
     name: str,
     at: Mapping[str, Array],
+    towards: Array,
     period_s: float,
-    known: _Known,
+    design: SweepDesign,
     rng: np.random.Generator,
 ) -> Sweep | None:
-    """Find the motion about a stop that tells most per second in addition to ``known``; None if none is allowed."""
+    """Find the motion about a stop, ``towards`` others (m, N) [rad], that tells most per second in addition to what is
+    known; None if none is allowed."""
     others = {other: q for other, q in at.items() if other != name}
-    towards = known.stops[rng.integers(len(known.stops), size=_SAMPLES)]
     sampled = [_seen(cell, name, _sampled(at[name], posture, period_s, rng), others) for posture in towards]
-    seen = [_slow_enough(profile, cell, name, one) for one in sampled if one is not None]
-    before = float(np.linalg.slogdet(known.information)[1])
-    told = [float(np.linalg.slogdet(known.information + known.design.told(one))[1]) for one in seen]
+    seen = [_slow_enough(design.profile, cell, name, one) for one in sampled if one is not None]
+    before = float(np.linalg.slogdet(design.information)[1])
+    told = [float(np.linalg.slogdet(design.information + design.told(one))[1]) for one in seen]
     worth = [(its - before) / one.period_s for its, one in zip(told, seen, strict=True)]
     for place in np.argsort(worth)[::-1]:
         for motion in _narrowing(seen[place]):

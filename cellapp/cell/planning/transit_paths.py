@@ -28,8 +28,9 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from cellapp.cell.planning.planned_stops import Configuration, Route, motion_s, route_s
+from cellapp.cell.planning.planned_stops import Configuration, Route, motion_s
 from cellapp.cell.safety.bodies import place
+from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.safety.gate import CellBodies, FreeMotions, clear_alone, refuse_motion, with_margin_for_ways
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import JobToken
@@ -43,33 +44,27 @@ _MOST_ORDERED = 4
 """Largest number of arms of which all orders are tried."""
 
 
-@dataclass(frozen=True, eq=False)
-class TransitPath:
-    """The motions to a configuration without the last one, which ends there, and the time of all of them [s]."""
-
-    legs: Route
-    seconds: float
-
-
 class TransitPlanner:
     """Search for paths in one cell."""
 
     def __init__(self, profile: Profile, cell: CellBodies, rng: np.random.Generator) -> None:
-        self._profile, self._cell = profile, cell
+        self.profile, self.cell = profile, cell
         self.gate = FreeMotions(cell)
         """Answers of the gate for all arms; other planning steps share them."""
         self.roadmaps = {name: ArmRoadmap(profile, cell, name, rng) for name in cell.arms}
         """Roadmap of each arm alone."""
+        homes = home_positions(profile)
+        self.home: Configuration | None = homes if set(homes) == set(cell.arms) else None
+        """Home of all arms; None if one of them has none."""
 
-    def seconds(self, here: Configuration, there: Configuration) -> float:
-        """Compute the time of a motion of all arms at once [s]."""
-        return route_s(self._profile, here, (there,))
+    def find(self, here: Configuration, there: Configuration) -> Route | str:
+        """Find the shortest path from ``here`` to ``there`` (all arms); return the gate's reason if there is none.
 
-    def find(self, here: Configuration, there: Configuration) -> TransitPath | str:
-        """Find the shortest path from ``here`` to ``there`` (all arms); return the gate's reason if there is none."""
+        The path is without its last motion, which ends there.
+        """
         if self.gate.free(here, there):
-            return TransitPath((), self.seconds(here, there))
-        if no_standing := refuse_motion(self._cell, there, there):
+            return ()
+        if no_standing := refuse_motion(self.cell, there, there):
             return no_standing
         ways = [list(pairwise([here, *through, there])) for through in self._between(here, there)]
         shortest = [ways[k] for k in np.argsort(self._ways_s(ways), kind="stable")[:_MOST_ASKED].tolist()]
@@ -77,24 +72,15 @@ class TransitPlanner:
             if number % _ASKED_TOGETHER == 0:
                 self.gate.ask(motion for other in shortest[number : number + _ASKED_TOGETHER] for motion in other)
             if all(self.gate.free(*motion) for motion in way):
-                return self._way(here, [end for _, end in way[:-1]], there)
-        return refuse_motion(self._cell, here, there)
-
-    def _way(self, here: Configuration, through: Sequence[Configuration], there: Configuration) -> TransitPath:
-        """Convert a path to legs, each with the arms that move in it."""
-        legs = []
-        for before, after in pairwise([here, *through]):
-            legs.append({name: q for name, q in after.items() if not np.array_equal(q, before[name])})
-        way = list(pairwise([here, *through, there]))
-        return TransitPath(tuple(leg for leg in legs if leg), float(self._ways_s([way])[0]))
+                legs = [_moved(*motion) for motion in way[:-1]]
+                return tuple(leg for leg in legs if leg)
+        return refuse_motion(self.cell, here, there)
 
     def _ways_s(self, ways: Sequence[Sequence[tuple[Configuration, Configuration]]]) -> Array:
         """Compute the time of each path (n,) [s]; each motion takes as long as its slowest arm."""
         steps = [step for way in ways for step in way]
-        if not steps:
-            return np.zeros(0)
         of_arms = [
-            motion_s(self._profile.arms[name], np.array([after[name] - before[name] for before, after in steps]))
+            motion_s(self.profile.arms[name], np.array([after[name] - before[name] for before, after in steps]))
             for name in steps[0][0]
         ]
         of_way = np.repeat(np.arange(len(ways)), [len(way) for way in ways])
@@ -127,6 +113,11 @@ class TransitPlanner:
                     {name: (there if name in order[: k + 1] else here)[name] for name in there}
                     for k in range(len(there) - 1)
                 ]
+
+
+def _moved(before: Configuration, after: Configuration) -> Configuration:
+    """Return where those arms are afterwards that move."""
+    return {name: q for name, q in after.items() if not np.array_equal(q, before[name])}
 
 
 # ---------------------------------------------------------------------------------------------------------------------
@@ -186,9 +177,8 @@ class ArmRoadmap:
         nodes = np.concatenate([self._nodes, start[None], end[None]])
         n = len(nodes)
         near = self._nearest(nodes[-2:], _NEAR_ENDS)
-        i = np.append(
-            np.repeat([n - 2, n - 1], near.shape[1]), n - 2
-        )  # both ends to the nodes near them, and to each other
+        # both ends to the nodes near them, and to each other
+        i = np.append(np.repeat([n - 2, n - 1], near.shape[1]), n - 2)
         k = np.append(near.ravel(), n - 1)
         free = self.clear_ways(nodes[i], nodes[k])
         i, k = np.concatenate([i[free], self._edges[0]]), np.concatenate([k[free], self._edges[1]])

@@ -18,6 +18,7 @@ from cellapp.cell.planning.planned_stops import (
     refused_route,
     routes,
     stop_times_of,
+    without_reserves,
 )
 from cellapp.cell.planning.records import ArmForecast, JointCoverage, PlanCheckResult, PlanForecastResult, PlanRefusal
 from cellapp.cell.run import RunFile
@@ -65,8 +66,7 @@ def check_plan_run(run: RunFile, job: JobToken = UNATTENDED) -> PlanCheckResult:
         If the run has no plan.
     Cancelled
     """
-    required_plan(run)
-    stops = read_planned_stops(run)
+    stops = required_plan(run)
     refused = check_stops(run.profile, stops, job)
     return PlanCheckResult(run=str(run.folder), stops=len(stops), ways=len(stops) + 1, refused=refused)
 
@@ -116,15 +116,15 @@ def check_each_stop(profile: Profile, stops: PlannedStops) -> tuple[PlanRefusal,
     return tuple(refused)
 
 
-def required_plan(run: RunFile) -> dict[str, Array]:
-    """Read the plan of a run, arm -> q (n, N) [rad]. Raise ``InputError`` if there is none."""
-    plan = run.read_plan()
-    if not plan or not len(next(iter(plan.values()))):
+def required_plan(run: RunFile) -> PlannedStops:
+    """Read the plan of a run. Raise ``InputError`` if there is none."""
+    stops = read_planned_stops(run)
+    if not len(stops):
         raise InputError(
             f"{run.path}: the run has no plan (its readings were imported); make one with"
             " 'cellapp plan PROFILE --run NEW'"
         )
-    return plan
+    return stops
 
 
 def _stop_refusals(cell: CellBodies, k: int, q: Configuration) -> Iterator[PlanRefusal]:
@@ -186,10 +186,8 @@ def forecast_run(run: RunFile, job: JobToken = UNATTENDED) -> PlanForecastResult
         If the run has no plan, or the profile does not describe the cell.
     Cancelled
     """
-    required_plan(run)
-    profile, plan = run.profile, read_planned_stops(run)
-    reserves = profile.plan.reserves(len(plan))
-    visited = plan.take([stop for stop in range(len(plan)) if stop not in reserves])
+    profile, plan = run.profile, required_plan(run)
+    visited = without_reserves(profile, plan)
     if not len(visited):
         raise InputError(f"{run.path}: the plan has reserve stops only")
     times = stop_times_of(profile, visited)
@@ -217,23 +215,19 @@ def forecast_run(run: RunFile, job: JobToken = UNATTENDED) -> PlanForecastResult
         assert data.stated is not None
         arms[name] = ArmForecast(
             stops=len(visited),
-            reserves=len(reserves),
+            reserves=len(plan) - len(visited),
             noise_rms_mm=rms_length_mm(data.stated),
             coverage=joint_coverage(joint_ranges(cell, profile, name), visited.q[name]),
             accuracy=tuple(planned_accuracy(data, scatter) for scatter in (0.0, EXPECTED_SCATTER_M)),
             effects=effects,
         )
     job.tell("forecast", len(expected), len(expected), "done")
-    notes += _notes(profile, visited.q)
-    return PlanForecastResult(run=str(run.folder), time=planned_time(profile, visited), arms=arms, notes=tuple(notes))
-
-
-def _notes(profile: Profile, plan: Mapping[str, Array]) -> list[str]:
-    return [
+    notes += [
         f"arm {name}: smr.offset is unknown; an offset of some centimetres beside the last axis was assumed"
-        for name in plan
-        if profile.arms[name].smr.offset == "unknown"
+        for name, arm in profile.arms.items()
+        if arm.smr.offset == "unknown"
     ]
+    return PlanForecastResult(run=str(run.folder), time=planned_time(profile, visited), arms=arms, notes=tuple(notes))
 
 
 # -- Reasons why the tracker does not see an SMR, in words ------------------------------------------------------------

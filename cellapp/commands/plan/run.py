@@ -21,6 +21,7 @@ from cellapp.cell.planning.planned_stops import (
     planned_time,
     read_plan_design,
     read_planned_stops,
+    without_reserves,
     write_planned_stops,
 )
 from cellapp.cell.planning.records import PlanCheckResult, PlanRefusal
@@ -116,14 +117,12 @@ def new_planned_run(
 
 def plan_result(run: RunFile, notes: Sequence[str] = ()) -> PlanResult:
     """Return the result of ``plan`` for the plan of a run. Raises ``InputError`` if the run has none."""
-    required_plan(run)
-    stops = read_planned_stops(run)
-    reserves = run.profile.plan.reserves(len(stops))
-    visited = stops.take([stop for stop in range(len(stops)) if stop not in reserves])
+    stops = required_plan(run)
+    visited = without_reserves(run.profile, stops)
     return PlanResult(
         run=str(run.folder),
         stops={name: len(visited) for name in stops.q},
-        reserves=len(reserves),
+        reserves=len(stops) - len(visited),
         design=read_plan_design(run),
         time=planned_time(run.profile, visited),
         sweeps=planned_sweeps(run),
@@ -189,8 +188,7 @@ def planned_stops(run: RunFile) -> StopsResult:
 
 def export_plan(run: RunFile, path: Path, outputs: Outputs = NEW_ONLY) -> None:
     """Write the plan of a run as CSV. Raises ``InputError`` without a plan, or if the file cannot be written."""
-    required_plan(run)
-    write_plan_csv(read_planned_stops(run), path, outputs)
+    write_plan_csv(required_plan(run), path, outputs)
 
 
 def check_plan_file(profile: Profile, path: Path, job: JobToken = UNATTENDED) -> PlanCheckResult:
@@ -275,8 +273,7 @@ def extend_plan(run: RunFile, count: int, control: JobControl | None = None) -> 
     """
     control = control or JobControl()
     with running_job(run, control, "plan"):
-        required_plan(run)
-        kept = read_planned_stops(run)
+        kept = required_plan(run)
         stops, design = make_stops(_other_seed(run), control, kept=kept, add=count)
         write_planned_stops(run, stops, design=design)
         note = f"{counted(len(stops) - len(kept), 'stop was', 'stops were')} added after stop {len(kept)}"
@@ -300,8 +297,7 @@ def replan(run: RunFile, control: JobControl | None = None) -> PlanResult:
     """
     control = control or JobControl()
     with running_job(run, control, "plan"):
-        required_plan(run)
-        stops = read_planned_stops(run)
+        stops = required_plan(run)
         parts = _parts(run, stops)
         needed = len(parts.open) + parts.more - len(parts.frozen)
         if needed <= 0:
@@ -330,8 +326,7 @@ def freeze_stops(run: RunFile, chosen: Collection[int], control: JobControl | No
     """
     control = control or JobControl()
     with running_job(run, control, "plan"):
-        required_plan(run)
-        stops = read_planned_stops(run)
+        stops = required_plan(run)
         if unknown := [stop for stop in chosen if not 0 <= stop < len(stops)]:
             raise InputError(f"{run.path}: there is no stop {unknown[0] + 1}; there are 1 to {len(stops)}")
         frozen = np.isin(np.arange(len(stops)), list(chosen))

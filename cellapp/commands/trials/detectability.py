@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation
 
 from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.planning.plan import make_stops
-from cellapp.cell.planning.planned_stops import PlannedStops, last_motions, read_planned_stops, stop_times_of
+from cellapp.cell.planning.planned_stops import PlannedStops, last_motions, stop_times_of, without_reserves
 from cellapp.cell.planning.view import required_plan
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
@@ -77,8 +77,7 @@ class PlannedCell(Record):
     @classmethod
     def of(cls, profile: Profile, stops: PlannedStops) -> PlannedCell:
         """Return the cell of a profile at the stops of a plan, reserves left out."""
-        reserves = profile.plan.reserves(len(stops))
-        visited = stops.take([stop for stop in range(len(stops)) if stop not in reserves])
+        visited = without_reserves(profile, stops)
         times = stop_times_of(profile, visited)
         return cls(
             profile=profile,
@@ -240,8 +239,7 @@ def detectability_at(where: Path, trials: int, seed: int, work: PoolWork, limit:
         stops, _ = make_stops(profile, work.job)
         return plan_detects(PlannedCell.of(profile, stops), trials, seed, work, limit)
     with RunFile.open(where, write=True) as run:
-        required_plan(run)
-        result = plan_detects(PlannedCell.of(run.profile, read_planned_stops(run)), trials, seed, work, limit)
+        result = plan_detects(PlannedCell.of(run.profile, required_plan(run)), trials, seed, work, limit)
         run.write_document(DETECTABILITY_RESULT, result.to_json())
         return result
 

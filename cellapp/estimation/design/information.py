@@ -181,15 +181,12 @@ _LAMBDA_OFFSET = 1e-3
 """Added to lambda over its need before that ratio, as lambda is zero while nothing discriminates."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Scaled:
-    """The alternative's columns scaled to unit size, on run (p, d) and candidates (p, m, 3); normal matrix,
-    precisions."""
-
-    run: Array
-    candidates: Array
-    gram: Array
-    prior: Array
+def unit_columns(run: Array, precision: Array, candidates: Array) -> tuple[Array, Array, Array]:
+    """Scale columns on run (p, d) and candidates (p, m, 3) to unit size, and precisions (p,), which get the ridge."""
+    squares = np.einsum("pd,pd->p", run, run)
+    squares = squares + np.einsum("pmc,pmc->p", candidates, candidates) / max(candidates.shape[1], 1)
+    scale = 1.0 / np.sqrt(np.maximum(squares, 1e-300))
+    return run * scale[:, None], precision * scale**2 + _RIDGE, candidates * scale[:, None, None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,56 +196,53 @@ class TwoModels:
     Attributes
     ----------
     run_columns : array, shape (p, d)
-        Columns of the alternative model on the run.
-    precision : array, shape (p,)
-        Their prior precisions.
+        Columns of the alternative model on the run, scaled to unit size.
+    prior : array, shape (p,)
+        Their prior precisions, with the ridge.
+    candidate_columns : array, shape (p, m, 3)
+        Columns of the alternative model at the candidates, scaled alike.
     run_signals : array, shape (k, d)
         Signals on the run; lambda is their mean.
-    candidate_columns : array, shape (p, m, 3)
-        Columns of the alternative model at the candidates.
     candidate_signals : array, shape (k, m, 3)
         Signals at the candidates.
     """
 
     run_columns: Array
-    precision: Array
-    run_signals: Array
+    prior: Array
     candidate_columns: Array
+    run_signals: Array
     candidate_signals: Array
 
-    def _scaled(self) -> _Scaled:
-        squares = np.einsum("pd,pd->p", self.run_columns, self.run_columns)
-        candidates = self.candidate_columns
-        squares = squares + np.einsum("pmc,pmc->p", candidates, candidates) / max(candidates.shape[1], 1)
-        scale = 1.0 / np.sqrt(np.maximum(squares, 1e-300))
-        run, prior = self.run_columns * scale[:, None], self.precision * scale**2 + _RIDGE
-        return _Scaled(run, candidates * scale[:, None, None], run @ run.T + np.diag(prior), prior)
+    @cached_property
+    def _gram(self) -> Array:
+        """Normal matrix G (p, p) of the run."""
+        return np.asarray(self.run_columns @ self.run_columns.T + np.diag(self.prior))
 
     def noncentrality(self, chosen: NDArray[np.intp]) -> float:
         """Return lambda of the run together with the candidates ``chosen``."""
-        scaled = self._scaled()
-        columns = scaled.candidates[:, chosen].reshape(len(scaled.run), -1)
+        columns = self.candidate_columns[:, chosen].reshape(len(self.run_columns), -1)
         signals = self.candidate_signals[:, chosen].reshape(len(self.run_signals), -1)
-        moment = scaled.run @ self.run_signals.T + columns @ signals.T
-        eta = scipy.linalg.cho_solve(scipy.linalg.cho_factor(scaled.gram + columns @ columns.T, lower=True), moment)
+        moment = self.run_columns @ self.run_signals.T + columns @ signals.T
+        eta = scipy.linalg.cho_solve(scipy.linalg.cho_factor(self._gram + columns @ columns.T, lower=True), moment)
+        return self._square(eta, float(np.sum((signals - eta.T @ columns) ** 2))) / len(self.run_signals)
+
+    def _square(self, eta: Array, of_stops: float = 0.0) -> float:
+        """Return |a - X^T eta|^2 + eta^T P eta for ``eta`` (p, k): of the run, and the first term ``of_stops``."""
         # from the residual: the difference of two large sums of squares would lose precision
-        square = float(np.sum((self.run_signals - eta.T @ scaled.run) ** 2) + np.sum((signals - eta.T @ columns) ** 2))
-        return (square + float(np.einsum("pk,p,pk->", eta, scaled.prior, eta))) / len(self.run_signals)
+        square = float(np.sum((self.run_signals - eta.T @ self.run_columns) ** 2))
+        return square + of_stops + float(np.einsum("pk,p,pk->", eta, self.prior, eta))
 
     def start_design(self) -> SequentialDesign:
         """Return the state before the first further stop."""
-        scaled = self._scaled()
-        inverse = scipy.linalg.cho_solve(scipy.linalg.cho_factor(scaled.gram, lower=True), np.eye(len(scaled.gram)))
-        eta = inverse @ (scaled.run @ self.run_signals.T)
-        square = float(np.sum((self.run_signals - eta.T @ scaled.run) ** 2))
-        square += float(np.einsum("pk,p,pk->", eta, scaled.prior, eta))
-        by_stop = np.ascontiguousarray(scaled.candidates.transpose(1, 2, 0))
+        inverse = scipy.linalg.cho_solve(scipy.linalg.cho_factor(self._gram, lower=True), np.eye(len(self._gram)))
+        eta = inverse @ (self.run_columns @ self.run_signals.T)
+        by_stop = np.ascontiguousarray(self.candidate_columns.transpose(1, 2, 0))
         return SequentialDesign(
             columns=by_stop,
             inverse=inverse,
             variance=np.einsum("mcp,mep->mce", by_stop @ inverse, by_stop, optimize=True),
             error=self.candidate_signals - np.einsum("mcp,pk->kmc", by_stop, eta),
-            noncentrality=square / len(self.run_signals),
+            noncentrality=self._square(eta) / len(self.run_signals),
         )
 
 

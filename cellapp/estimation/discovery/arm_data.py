@@ -432,6 +432,12 @@ class ArmData(Quantities):
         return tuple(found)
 
 
+def named_columns(context: EffectContext, slug: str, law: Law, names: Sequence[str]) -> list[EffectColumn]:
+    """Return the columns ``names`` of a law in that order."""
+    found = {column.name: column for column in EFFECTS[slug].columns(context, law, frozenset(names))}
+    return [found[name] for name in names]
+
+
 def _depends_on_angles_only(slug: str, columns: Sequence[EffectColumn]) -> bool:
     """Return whether columns are the same at every geometry: joint offsets by measured joint angles only."""
     return EFFECTS[slug].variables == {InputVariable.JOINT_ANGLE} and all(one.joint is not None for one in columns)

@@ -185,8 +185,8 @@ def test_what_a_sweep_tells_is_of_the_effects_that_the_plan_is_for():
     lively[:, 0] = 0.3
     told = {}
     for slugs in ((), ("transmission_error",), ("transmission_error", "backlash")):
-        design = SweepDesign.of(altered(profile, plan={"effects": slugs}), "left")
-        before = design.before(q, np.ones_like(q))
+        design = SweepDesign.of(altered(profile, plan={"effects": slugs}), "left", q, np.ones_like(q))
+        before = design.information
         assert np.isfinite(before).all()
         gains = [
             np.linalg.slogdet(before + design.told(Sweep(q[0], sine, rows, 20.0)))[1] - np.linalg.slogdet(before)[1]
@@ -226,8 +226,8 @@ def chosen(twin: Profile, pools: Pools) -> Mapping[str, np.ndarray]:
 
 
 def model_of(profile: Profile, pools: Pools, name: str = "left") -> InformationModel:
-    others = {other: pool.q for other, pool in pools.items() if other != name}
-    conditions = sampled_conditions(profile, name, pools[name].q, others, np.random.default_rng(0))
+    q = {arm: pool.q for arm, pool in pools.items()}
+    conditions = sampled_conditions(profile, name, q[name], q, np.random.default_rng(0))
     return information_model(profile, name, pools[name].q, conditions)
 
 
@@ -241,7 +241,7 @@ def test_each_stop_is_chosen_once_and_the_seed_decides(
 
 
 def test_a_pool_may_be_smaller_than_the_plan(twin: Profile, pools: Pools) -> None:
-    few = {name: replace(pool, q=pool.q[:12], incidence=pool.incidence[:12]) for name, pool in pools.items()}
+    few = {name: replace(pool, q=pool.q[:12]) for name, pool in pools.items()}
     rows = select_stops(twin, few, COUNT, np.random.default_rng(1))
     assert {name: sorted(found.tolist()) for name, found in rows.items()} == {name: list(range(12)) for name in few}
     assert not len(select_stops(twin, few, 0, np.random.default_rng(1))["left"])
@@ -264,7 +264,7 @@ def test_any_cell_can_be_designed(cell: str) -> None:
     pools = drawn(profile, 120)
     rows = select_stops(profile, pools, 20, np.random.default_rng(1))
     assert {name: len(set(found.tolist())) for name, found in rows.items()} == dict.fromkeys(profile.arms, 20)
-    coupled = any(one.startswith("pedestal_coupling") for one in model_of(profile, pools, next(iter(pools))).names)
+    coupled = any(part.slug == "pedestal_coupling" for part in model_of(profile, pools, next(iter(pools))).parts)
     assert coupled == (len(profile.arms) == 2)
 
 

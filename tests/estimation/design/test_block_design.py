@@ -146,7 +146,7 @@ import hashlib
 import numpy as np
 from cellapp.cell.planning.designed_plan import design_stops
 from tests.twin import small_twin
-planned = design_stops(small_twin(12), 12).stops
+planned, _ = design_stops(small_twin(12), 12)
 print({name: hashlib.sha256(np.round(q, 9).tobytes()).hexdigest() for name, q in planned.q.items()})
 """
 
