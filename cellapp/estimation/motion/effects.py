@@ -28,12 +28,12 @@ from cellapp.estimation.calibration.least_squares import solve_psd
 from cellapp.estimation.motion.fit import Solution, Source, allow_for_missing, normal_equations, solve
 from cellapp.estimation.motion.identify import MotionFit, RecordedArm, held_out_rms_mm, motion_fit, motion_problem
 from cellapp.estimation.motion.laws import (
-    LOADED,
     Fading,
     JointLaw,
     JointLaws,
     JointTerm,
     Knee,
+    line,
     of_all_joints,
     state_in_motion,
 )
@@ -74,6 +74,11 @@ _WORTH_A_FIT = 0.5
 neighbours, so the evidence of the fit decides."""
 _ALIKE_TURNS = 1.0
 """Distance of two lines of one joint, times the turns that it made, below which they are one line."""
+_SEARCHED = (
+    *(JointLaw.PLAY, JointLaw.LAG, JointLaw.INERTIA, JointLaw.ONE_CYCLE),
+    *(JointLaw.WINDUP, JointLaw.COMPLIANCE),
+)
+"""Laws of all joints that are tried, beside those of plug-ins."""
 _OF_POSTURE = (JointLaw.WINDUP, JointLaw.COMPLIANCE, JointLaw.ONE_CYCLE)
 """Laws that a filter for slow noise suppresses while the residuals contain them: they are tested without it, too."""
 _AS_LIKELY = 4.5
@@ -142,10 +147,7 @@ class _Search:
         """Add laws of all joints and lines until chance explains the rest."""
         state = _whitened(self._state(self.problem.with_terms(()), None))
         first_mm = state.heldout_mm
-        loaded = LOADED if self.problem.masses is not None else ()
-        own = [law for law in self.own if loaded or not law.needs_torques]
-        laws: list[JointLaw | MotionLaw] = [JointLaw.PLAY, JointLaw.LAG, JointLaw.INERTIA, JointLaw.ONE_CYCLE]
-        laws += [*loaded, *own]
+        laws = [law for law in (*_SEARCHED, *self.own) if state.problem.masses is not None or not law.needs_torques]
         while found := (
             self._law(state, laws)
             or self._all_lines(state)
@@ -207,7 +209,7 @@ class _Search:
                 self.told(f"cycles of lines of joint {term.joint + 1}")
                 reach = _reach(state, term)
                 near = [t for t in lines if t.joint == term.joint and abs(t.cycles - term.cycles) <= 1.5 * reach]
-                better |= {line.place: None for line in near}
+                better |= {one.place: None for one in near}
                 better[term.place] = self._best_count(state, term, near, reach)
             if all(cycles == count for (_, cycles), count in better.items()):
                 break
@@ -217,7 +219,7 @@ class _Search:
     def _best_count(self, state: State, term: JointTerm, near: Sequence[JointTerm], reach: float) -> int:
         """Return the count with most power in the residuals without the lines ``near`` a line, within its reach."""
         values = state.solution.values.copy()
-        values[state.places_of([wave for line in near for wave in _pair(*line.place)])] = 0.0
+        values[state.places_of([wave for one in near for wave in line(*one.place)])] = 0.0
         ((power,), _) = line_powers(state.problem, replace(state.solution, values=values), [term.joint])
         power = np.where((np.abs(_COUNTS - term.cycles) <= reach) & (_COUNTS > 1), power, 0.0)
         count = int(np.argmax(power))
@@ -232,7 +234,7 @@ class _Search:
         for joint, cycles in places:
             free = [side for side in (-1, 1) if cycles > 2 and (joint, cycles + side) not in taken]
             taken |= {(joint, cycles + side) for side in free}
-            beside.append([replace(term, side=side) for side in free for term in _pair(joint, cycles + side)])
+            beside.append([replace(term, side=side) for side in free for term in line(joint, cycles + side)])
         terms = tuple(term for its in beside for term in its)
         if not terms:
             return state
@@ -269,7 +271,7 @@ class _Search:
         step = state.steps[-1]
         values, covariance = state.values_of(step.terms)
         late = tuple(
-            JointTerm(JointLaw.TIME_CONSTANT, term.joint, shape=(math.sqrt(-2.0 * value),))
+            JointTerm(JointLaw.TIME_CONSTANT, term.joint, "time_constant", shape=(math.sqrt(-2.0 * value),))
             for term, value, error in zip(step.terms, values.tolist(), np.sqrt(np.diag(covariance)).tolist())
             if value < -SHOWN * error
         )
@@ -288,10 +290,10 @@ class _Search:
         if not late:
             return state
         usual, own = float(np.median([term.shape[0] for term in late])), {term.joint: term for term in late}
-        joints = range(state.problem.parameters.joints)
-        everywhere = [own.get(joint, replace(late[0], joint=joint, shape=(usual,))) for joint in joints]
-        springs = sorted({term.joint for term in state.terms_of(JointLaw.VIBRATION)})
-        twisted = [JointTerm(JointLaw.INERTIA, joint) for joint in springs]
+        joints = state.problem.parameters.joints
+        everywhere = [own.get(joint, replace(late[0], joint=joint, shape=(usual,))) for joint in range(joints)]
+        springs = {term.joint for term in state.terms_of(JointLaw.VIBRATION)}
+        twisted = [term for term in of_all_joints(JointLaw.INERTIA, joints) if term.joint in springs]
         simple: dict[JointLaw | MotionLaw, list[JointTerm]]
         simple = {JointLaw.LAG: [], JointLaw.INERTIA: twisted, JointLaw.TIME_CONSTANT: everywhere}
         trial = self._settled(self._refitted(state, state.steps_with(simple)))
@@ -485,7 +487,7 @@ class _Search:
             power[joint, np.abs(_COUNTS - cycles) <= max(1.0, _ALIKE_TURNS / max(turns[joint], 1e-3))] = 0.0
         power[:, :2] = 0.0
         strongest = enumerate(power.argmax(axis=1).tolist())
-        pairs = [_pair(joint, cycles) for joint, cycles in strongest if power[joint, cycles] > threshold]
+        pairs = [line(joint, cycles) for joint, cycles in strongest if power[joint, cycles] > threshold]
         if not pairs:
             return None
         terms = tuple(term for pair in pairs for term in pair)
@@ -511,10 +513,6 @@ def _whitened(state: State) -> State:
     return replace(state, problem=replace(state.problem, whitening=filters))
 
 
-def _pair(joint: int, cycles: int) -> tuple[JointTerm, JointTerm]:
-    return JointTerm(JointLaw.LINE, joint, cycles, False), JointTerm(JointLaw.LINE, joint, cycles, True)
-
-
 def _reach(state: State, term: JointTerm) -> float:
     """Return the distance in counts below which lines are unresolved over the turns that a joint made."""
     q = np.concatenate([track.path.at(track.path.stamps.time_s)[0][:, term.joint] for track in state.problem.tracks])
@@ -526,7 +524,7 @@ def _recounted(step: LawStep, better: Mapping[tuple[int, int], int | None]) -> L
     if step.law is not JointLaw.LINE:
         return step
     counts = [(term.joint, better[term.place]) for term in step.terms[::2]]
-    terms = [term for joint, count in counts if count is not None for term in _pair(joint, count)]
+    terms = [term for joint, count in counts if count is not None for term in line(joint, count)]
     return replace(step, terms=tuple(terms))
 
 
@@ -609,10 +607,11 @@ def refining_terms(problem: MotionProblem, solution: Solution, law: JointLaw) ->
 
 
 def _fading(problem: MotionProblem, solution: Solution, law: JointLaw) -> tuple[JointTerm, ...]:
-    joints = range(problem.parameters.joints)
+    plain = of_all_joints(law, problem.parameters.joints)
+    joints = range(len(plain))
 
     def parts(kind: Fading, reaches: Sequence[float]) -> tuple[JointTerm, ...]:
-        return tuple(JointTerm(law, joint, fading=replace(kind, reach=own)) for joint, own in zip(joints, reaches))
+        return tuple(replace(term, fading=replace(kind, reach=own)) for term, own in zip(plain, reaches))
 
     options = [(kind, [reach] * len(joints)) for kind in _KINDS for reach in REACHES]
     gains = _gains(problem, solution, law, [part for option in options for part in parts(*option)])
@@ -646,7 +645,7 @@ def _knees(problem: MotionProblem, solution: Solution) -> tuple[JointTerm, ...]:
         options = [_one_or_two(grids[0], grids[-1]) for grids in near]
         chosen = _best_shares(problem, solution, largest, options)
     return tuple(
-        JointTerm(JointLaw.COMPLIANCE, joint, knee=Knee(share * torque, constant))
+        JointTerm(JointLaw.COMPLIANCE, joint, "compliance", knee=Knee(share * torque, constant))
         for joint, (own, torque) in enumerate(zip(chosen, largest.tolist()))
         for constant, share in zip(SOFTER, own)
     )
@@ -664,8 +663,8 @@ def _best_shares(
     """Choose one option of each joint, joint by joint the one with the largest gain beside those of the others."""
 
     def parts(chosen: Sequence[Sequence[float]]) -> list[JointTerm]:
-        softer = [(joint, Knee(share * largest[joint])) for joint, own in enumerate(chosen) for share in own]
-        return [JointTerm(JointLaw.COMPLIANCE, joint, knee=knee) for joint, knee in softer]
+        each = zip(of_all_joints(JointLaw.COMPLIANCE, len(largest)), chosen, largest.tolist(), strict=True)
+        return [replace(term, knee=Knee(share * torque)) for term, own, torque in each for share in own]
 
     every = parts([sorted({share for one in own for share in one}) for own in options])
     gains = _gains(problem, solution, JointLaw.COMPLIANCE, every)

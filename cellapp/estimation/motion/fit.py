@@ -44,7 +44,7 @@ from cellapp.estimation.calibration.least_squares import (
     shortened,
     solve_psd,
 )
-from cellapp.estimation.motion.laws import JointLaw, JointTerm
+from cellapp.estimation.motion.laws import JointLaw, JointTerm, line, of_all_joints
 from cellapp.estimation.motion.residuals import (
     Bands,
     Modelled,
@@ -516,11 +516,11 @@ def _seen(problem: MotionProblem, solution: Solution) -> _Seen:
 
 def _laws(problem: MotionProblem) -> tuple[JointTerm, ...]:
     """Return the laws of joints that an arm may have and the fit lacks."""
-    joints = range(problem.parameters.joints)
+    joints = problem.parameters.joints
     own = {replace(term, law=JointLaw.LINE) if term.law is JointLaw.ONE_CYCLE else term for term in problem.terms}
-    lines = [JointTerm(JointLaw.LINE, joint, c, sine) for c in _CYCLES for joint in joints for sine in (False, True)]
-    elastic = [JointTerm(JointLaw.COMPLIANCE, joint) for joint in joints if problem.masses is not None]
-    lost = [JointTerm(JointLaw.PLAY, joint) for joint in joints]  # lags the motion, like a delay
+    lines = [term for cycles in _CYCLES for joint in range(joints) for term in line(joint, cycles)]
+    elastic = () if problem.masses is None else of_all_joints(JointLaw.COMPLIANCE, joints)
+    lost = of_all_joints(JointLaw.PLAY, joints)  # lags the motion, like a delay
     return tuple(term for term in (*lines, *elastic, *lost) if term not in own)
 
 

@@ -327,7 +327,7 @@ class MotionProblem:
     def joints(self, values: Array, number: int, rows: NDArray[np.intp]) -> JointState:
         """Return the state of the joints at some rows of one source."""
         holder = self.holders[number]
-        masses = self.masses if any(term.needs_torques for term in self.terms) else None
+        masses = self.masses if any(term.law.needs_torques for term in self.terms) else None
         if isinstance(holder, Track):
             return state_in_motion(holder.path, holder.controller_times(rows, values[self.clock(number)]), masses)
         q = holder.q[rows]
