@@ -30,11 +30,14 @@ from cellapp.estimation.motion.identify import MotionFit, RecordedArm, held_out_
 from cellapp.estimation.motion.laws import (
     Fading,
     JointLaw,
-    JointLaws,
+    JointState,
     JointTerm,
     Knee,
+    Masses,
+    TimedPath,
     line,
     of_all_joints,
+    state_at_rest,
     state_in_motion,
 )
 from cellapp.estimation.motion.residuals import MotionProblem, residuals, whitening_filter
@@ -94,8 +97,8 @@ _JUDGED_ROUNDS = 2
 class MotionDiscovery:
     """Fit with all effects found, in the order in which they entered, and the held-out errors before and after.
 
-    ``covariance`` (k, k) is that of the estimated geometry, then of the parameters of ``terms``;
-    ``laws`` are the laws of the joints with effects. ``not_fitted`` are candidates whose fit did not converge.
+    ``covariance`` (k, k) is that of the estimated geometry, then of the parameters of ``terms``. ``not_fitted`` are
+    candidates whose fit did not converge.
     """
 
     fit: MotionFit
@@ -103,7 +106,7 @@ class MotionDiscovery:
     heldout_before_mm: float
     heldout_after_mm: float
     covariance: Array = field(repr=False)
-    laws: JointLaws = field(repr=False)
+    masses: Masses | None = field(repr=False)
     not_fitted: tuple[str, ...] = ()
 
     @property
@@ -115,6 +118,28 @@ class MotionDiscovery:
     def at_rest(self) -> tuple[MotionEffect, ...]:
         """Effects that serve commands at rest."""
         return tuple(effect for effect in self.effects if effect.found.at_rest)
+
+    def joints_at_rest(self, path: TimedPath, time_s: Array) -> Array:
+        """Return the joint positions (n, N) [rad] at which an arm at rest has the points of these times (n,) [s]:
+        without the laws of motion only."""
+        state = state_in_motion(path, time_s, None)
+        return state.q + _offsets(state, [effect for effect in self.effects if not effect.found.at_rest])
+
+    def joints_with_history(self, path: TimedPath, time_s: Array) -> Array:
+        """Return ``joints_at_rest`` plus the part of the laws at rest that motion adds: lost motion from earlier
+        reversals, and the torque of accelerations. At rest, only the last motion of each joint is known."""
+        loaded = any(term.law.needs_torques for effect in self.at_rest for term in effect.terms)
+        masses = self.masses if loaded else None
+        q, moves = self.joints_at_rest(path, time_s), state_in_motion(path, time_s, masses)
+        side, travel = np.sign(np.rint(moves.direction)), path.travel_at(time_s, moves.q)
+        rests = state_at_rest(q, side, masses, travel)
+        return q + _offsets(moves, self.at_rest) - _offsets(rests, self.at_rest)
+
+
+def _offsets(state: JointState, effects: Sequence[MotionEffect]) -> Array:
+    """Return the sum of the offsets of the joints (n, N) [rad] by effects."""
+    values = [one.value for effect in effects for one in effect.found.parameters.values()]
+    return state.offsets(tuple(term for effect in effects for term in effect.terms), np.array(values))
 
 
 def effects_in_motion(arm: RecordedArm, told: Told = ignore_words) -> MotionDiscovery:
@@ -177,18 +202,15 @@ class _Search:
         late = final.has(JointLaw.LAG) or final.has(JointLaw.TIME_CONSTANT)
         freed = allow_for_missing(final.problem, final.solution, with_clocks=not late)
         effects = effects_of(final)
-        stays, moves = (
-            tuple(pair for effect in effects if effect.found.at_rest is at_rest for pair in effect.valued)
-            for at_rest in (True, False)
-        )
-        places = [*range(final.problem.geometric), *final.places_of([term for term, _ in stays])]
+        stays = [term for effect in effects if effect.found.at_rest for term in effect.terms]
+        places = [*range(final.problem.geometric), *final.places_of(stays)]
         return MotionDiscovery(
             motion_fit(final.problem, freed),
             effects,
             first_mm,
             final.heldout_mm,
-            final.solution.noise.covariance[np.ix_(places, places)],
-            JointLaws(stays, moves, final.problem.masses),
+            final.solution.covariance[np.ix_(places, places)],
+            final.problem.masses,
             tuple(dict.fromkeys(self.not_fitted)),
         )
 
@@ -235,15 +257,15 @@ class _Search:
             free = [side for side in (-1, 1) if cycles > 2 and (joint, cycles + side) not in taken]
             taken |= {(joint, cycles + side) for side in free}
             beside.append([replace(term, side=side) for side in free for term in line(joint, cycles + side)])
-        terms = tuple(term for its in beside for term in its)
-        if not terms:
+        beside = [its for its in beside if its]
+        if not beside:
             return state
         self.told("lines beside lines")
-        trial, tried = self._extended(state, terms), sum(cycles > 2 for _, cycles in places)
-        kept = tuple(term for its in beside if its and not self._by_chance(trial, its, tried) for term in its)
+        tried = sum(cycles > 2 for _, cycles in places)
+        trial, kept = self._with_proven(state, beside, self.alternatives * tried)
         if not kept:
             return state
-        trial = self._judged(trial if kept == terms else self._extended(state, kept))
+        trial = self._judged(trial)
         if _AS_WELL * trial.heldout_mm > state.heldout_mm:
             return state
         return trial.entered(step_of(JointLaw.LINE, kept, trial, tried, state))
@@ -343,14 +365,15 @@ class _Search:
 
     def _without_chance(self, state: State) -> State:
         """Remove laws, and refining parts of laws, that entered early and that chance explains beside all others."""
+        tried = self.alternatives
         for step in state.steps:  # one by one: each vibrating joint has its own step
             if step.law is JointLaw.LINE:
                 continue
             parts = [term for term in step.terms if term.refines]
-            if parts and isinstance(step.law, JointLaw) and self._by_chance(state, parts, alternatives(step.law)):
+            if parts and _by_chance(state, parts, tried * alternatives(step.law)):
                 step = replace(step, terms=tuple(term for term in step.terms if not term.refines))
                 state = self._refitted(state, state.steps_without(parts))
-            by_chance = self._by_chance(state, step.terms) or is_improbable(state, beside_others(state, step))
+            by_chance = _by_chance(state, step.terms, tried) or is_improbable(state, beside_others(state, step))
             if by_chance or not state.shown(step.law):
                 state = self._refitted(state, state.steps_without(step.terms))
         return state
@@ -368,11 +391,6 @@ class _Search:
                 if trial.heldout_mm < _AS_WELL * state.heldout_mm:
                     state = trial
         return state
-
-    def _by_chance(self, state: State, terms: Sequence[JointTerm], more: int = 1) -> bool:
-        """Return whether chance explains some terms, of which there were ``more`` alternatives."""
-        log_p = log_chance(state.statistic_of(terms), len(tested(terms)), self.alternatives * more)
-        return log_p > math.log(_CHANCE)
 
     def _state(self, problem: MotionProblem, start: Array | None, steps: Sequence[LawStep] = ()) -> State:
         laws = list(dict.fromkeys(term.law.value for term in problem.terms))
@@ -404,7 +422,7 @@ class _Search:
         """Fit without whitening, for predictions. Lines, which are fast, keep their values from the whitened residuals
         if these determine them better than ``plain`` does."""
         problem, values = plain.problem, state.solution.values
-        own, theirs = (np.diag(one.solution.noise.covariance) for one in (state, plain))
+        own, theirs = (np.diag(one.solution.covariance) for one in (state, plain))
         lines = enumerate(problem.terms, start=problem.geometric)
         better = [place for place, term in lines if term.law is JointLaw.LINE and own[place] < theirs[place]]
         if not better:
@@ -490,18 +508,27 @@ class _Search:
         pairs = [line(joint, cycles) for joint, cycles in strongest if power[joint, cycles] > threshold]
         if not pairs:
             return None
-        terms = tuple(term for pair in pairs for term in pair)
-        trial = self._extended(state, terms)
-        limit = float(scipy.special.chdtri(2, _CHANCE / power.size))
-        kept = tuple(term for pair in pairs if trial.statistic_of(pair) > limit for term in pair)
+        trial, kept = self._with_proven(state, pairs, power.size)
         if not kept:
             return None
-        if len(kept) < len(terms):
-            trial = self._extended(state, kept)
         judged = self._judged(trial)
         if judged.heldout_mm >= state.heldout_mm:
             return None
         return judged.entered(step_of(JointLaw.LINE, kept, trial, power.size, state))
+
+    def _with_proven(
+        self, state: State, groups: Sequence[Sequence[JointTerm]], tried: int
+    ) -> tuple[State, tuple[JointTerm, ...]]:
+        """Fit again with those groups of terms that chance does not explain beside all others; return them, too."""
+        trial = self._extended(state, [term for its in groups for term in its])
+        proven = [its for its in groups if not _by_chance(trial, its, tried)]
+        kept = tuple(term for its in proven for term in its)
+        return (self._extended(state, kept) if 0 < len(proven) < len(groups) else trial), kept
+
+
+def _by_chance(state: State, terms: Sequence[JointTerm], tried: int) -> bool:
+    """Return whether chance explains some terms, the best of ``tried`` alternatives."""
+    return log_chance(state.statistic_of(terms), len(tested(terms)), tried) > math.log(_CHANCE)
 
 
 def _whitened(state: State) -> State:
@@ -594,7 +621,7 @@ REFINED = (JointLaw.PLAY, JointLaw.WINDUP, JointLaw.COMPLIANCE)
 """Laws with refining parts."""
 
 
-def alternatives(law: JointLaw) -> int:
+def alternatives(law: JointLaw | MotionLaw) -> int:
     """Return the number of alternative parts, for the correction of p-values."""
     return len(_KNEES) ** 2 if law is JointLaw.COMPLIANCE else len(_KINDS) * len(REACHES)
 

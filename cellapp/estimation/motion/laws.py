@@ -710,32 +710,3 @@ def torques_in_motion(path: TimedPath, time_s: Array, masses: Masses) -> Array:
     force, moment = force[:-1], moment[:-1]
     about = moment - np.cross(now.origins[:-1], force)
     return np.asarray(np.einsum("jna,jna->nj", now.rotations[:-1, :, :, 2], about))
-
-
-@dataclass(frozen=True, eq=False)
-class JointLaws:
-    """Laws of an arm's joints with their values: those that act at rest, and those of motion only."""
-
-    at_rest: tuple[tuple[JointTerm, float], ...]
-    moving: tuple[tuple[JointTerm, float], ...]
-    masses: Masses | None
-
-    def joints_at_rest(self, path: TimedPath, time_s: Array) -> Array:
-        """Return the joint positions (n, N) [rad] at which an arm at rest has the points of these times (n,) [s]:
-        without the laws of motion only."""
-        state = state_in_motion(path, time_s, None)
-        return state.q + state.offsets(*_apart(self.moving))
-
-    def joints_with_history(self, path: TimedPath, time_s: Array) -> Array:
-        """Return ``joints_at_rest`` plus the part of the laws at rest that motion adds: lost motion from earlier
-        reversals, and the torque of accelerations. At rest, only the last motion of each joint is known."""
-        terms, values = _apart(self.at_rest)
-        masses = self.masses if any(term.law.needs_torques for term in terms) else None
-        q, moves = self.joints_at_rest(path, time_s), state_in_motion(path, time_s, masses)
-        side, travel = np.sign(np.rint(moves.direction)), path.travel_at(time_s, moves.q)
-        rests = state_at_rest(q, side, masses, travel)
-        return q + moves.offsets(terms, values) - rests.offsets(terms, values)
-
-
-def _apart(pairs: tuple[tuple[JointTerm, float], ...]) -> tuple[tuple[JointTerm, ...], Array]:
-    return tuple(term for term, _ in pairs), np.array([value for _, value in pairs])

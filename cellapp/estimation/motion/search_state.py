@@ -62,11 +62,6 @@ class MotionEffect:
     terms: tuple[JointTerm, ...]
     posterior: float
 
-    @property
-    def valued(self) -> list[tuple[JointTerm, float]]:
-        """Terms with their values."""
-        return list(zip(self.terms, (one.value for one in self.found.parameters.values()), strict=True))
-
     def term(self) -> EffectTerm:
         """Return an effect that acts at rest as a term of an arm model."""
         return term_from_json(self.found.model_dump(), EFFECTS)
