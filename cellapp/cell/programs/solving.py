@@ -119,12 +119,12 @@ def judged(
         q = np.array([corrected[k].q_new for k in rows])
         point = np.zeros(3) if tcp is None else np.array(tcp[:3])
         parts = divided(
-            place.arm, q, point, place.conditions(len(q)), place.measured, partial(_corrections, place, point)
+            place.arm, q, point, place.conditions(len(q)), place.measured, partial(_corrections, place, point), tcp
         )
         if parts is None:
             return found, common
-        common.append(parts.record(tcp))
-        any_significant |= parts.common_significant or parts.own_significant
+        common.append(parts.common)
+        any_significant |= parts.common.significant or parts.own_significant
         for row, k in enumerate(rows):
             own = {
                 "uncertainty_mm": float(parts.whole_m[row]) * 1e3,

@@ -122,7 +122,7 @@ def _common(arm: ArmModel, name: str, commands: Sequence[Command], readings: Rea
     q = np.array([one.q_compensated for one in own])
     payload = np.array([one.payload_kg for one in own], dtype=np.float64)
     parts = divided(arm, q, arm.geometry.tool, MeasurementConditions(payload_kg=payload), readings.q)
-    return None if parts is None else parts.record(None, corrected=False)
+    return None if parts is None else parts.common
 
 
 def compensate_paths(

@@ -15,7 +15,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from types import MappingProxyType
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -329,18 +329,8 @@ DIRECTIONS = ("x", "y", "z")
 """Directions of approach, along the axes of the arm's base (7.2.3)."""
 DIRECTIONAL_POSES = ("P1", "P2", "P4")
 
-CORNERS: Mapping[str, tuple[int, int, int]] = MappingProxyType(
-    {
-        "C1": (-1, -1, 1),
-        "C2": (1, -1, 1),
-        "C3": (1, 1, 1),
-        "C4": (-1, 1, 1),
-        "C5": (-1, -1, -1),
-        "C6": (1, -1, -1),
-        "C7": (1, 1, -1),
-        "C8": (-1, 1, -1),
-    }
-)
+_FACE = ((-1, -1), (1, -1), (1, 1), (-1, 1))
+CORNERS = {f"C{number}": (x, y, z) for number, (z, (x, y)) in enumerate(product((1, -1), _FACE), start=1)}
 """Signs of each corner relative to the centre along x, y and z of the arm's base."""
 PLANES: tuple[tuple[str, str, str, str], ...] = (
     ("C1", "C2", "C7", "C8"),

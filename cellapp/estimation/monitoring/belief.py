@@ -249,8 +249,9 @@ def check_belief(
     return CheckBelief(arms, station)
 
 
-def watched_terms(model: ArmModel, measured: Quantities) -> tuple[EffectTerm, ...]:
-    """Return terms of value zero for effects of wear that the model lacks, at joints where readings can show them."""
+def watching(model: ArmModel, measured: Quantities) -> ArmModel:
+    """Return the model with terms of value zero for effects of wear that it lacks, at joints where readings can show
+    them."""
     context = model.context(measured.readings.q, conditions=measured.conditions)
     present = {(term.slug, name) for term in model.effects if not is_smooth(term) for name in term.names}
     found = []
@@ -264,12 +265,7 @@ def watched_terms(model: ArmModel, measured: Quantities) -> tuple[EffectTerm, ..
         if columns:
             zeros, units = np.zeros(len(columns)), tuple(one.unit for one in columns)
             found.append(EffectTerm(slug, tuple(one.name for one in columns), zeros, zeros, units, law))
-    return tuple(found)
-
-
-def watching(model: ArmModel, measured: Quantities) -> ArmModel:
-    """Return the model with the watched terms that it lacks."""
-    return replace(model, effects=(*model.effects, *watched_terms(model, measured)))
+    return replace(model, effects=(*model.effects, *found))
 
 
 def arm_belief(found: Posterior, measured: Quantities) -> ArmBelief:

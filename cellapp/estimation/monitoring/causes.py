@@ -242,21 +242,8 @@ class Cause:
     undecided: tuple[str, ...]
 
 
-@dataclass(frozen=True, eq=False)
-class Explanation:
-    """Causes, the most evident first, and the p-value of chi-squared of the residuals."""
-
-    causes: tuple[Cause, ...]
-    remaining_p_value: float
-
-    @property
-    def holds(self) -> bool:
-        """Whether there are causes and they explain the stops."""
-        return bool(self.causes) and self.remaining_p_value >= NOT_EXPLAINED
-
-
-def explain(design: Design, stops: StopRows) -> Explanation:
-    """Find what changed, given that something did."""
+def explain(design: Design, stops: StopRows) -> tuple[tuple[Cause, ...], bool]:
+    """Find what changed, given that something did: the most evident first, and whether that explains the stops."""
     causes: list[Cause] = []
     nuisance: list[int] = []
     while True:
@@ -270,11 +257,12 @@ def explain(design: Design, stops: StopRows) -> Explanation:
         if len(causes) == _MOST_CHANGES:
             break
         fits = [_fit(design, stops, one, nuisance, rest, basis) for one, basis in zip(others, test.bases, strict=True)]
-        best = _best(fits, len(rest.white))
+        least = max(fit.gain for fit in fits) - _TIE
+        best = next(k for k, fit in enumerate(fits) if fit.gain >= least)
         stops = fits[best].stops
-        nuisance += fits[best].members
+        nuisance += others[best].members
         sizes, covariance = solved(Moments.of(stops), nuisance)
-        own = slice(len(sizes) - len(fits[best].members), len(sizes))
+        own = slice(len(sizes) - len(others[best].members), len(sizes))
         confounded, undecided = _confounded(design, dict(zip(others, fits, strict=True)), others[best], sizes[own])
         causes.append(
             Cause(
@@ -287,26 +275,21 @@ def explain(design: Design, stops: StopRows) -> Explanation:
                 undecided=undecided,
             )
         )
-    return Explanation(tuple(causes), float(p_values[-1]))
+    return tuple(causes), bool(causes) and float(p_values[-1]) >= NOT_EXPLAINED
 
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """A fitted alternative: its directions, the stops without the fitted motion, the remaining chi-squared.
+    """A fitted alternative: the stops without the fitted motion, the remaining chi-squared, and the gain of the log
+    likelihood less the penalty (BIC) of the parameters.
 
     ``motion`` is that of a tracker or base that moved.
     """
 
-    members: list[int]
     stops: StopRows
     chi_squared: float
-    explained: float
-    rank: int
+    gain: float
     motion: Array | None
-
-    def gain(self, coordinates: int) -> float:
-        """Gain of the log likelihood less the penalty (BIC) of the alternative's ``rank`` parameters."""
-        return 0.5 * self.explained - 0.5 * self.rank * math.log(coordinates)
 
 
 def _confounded(
@@ -314,9 +297,8 @@ def _confounded(
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Name what explains the stops about as well as the ``chosen`` change, and what more stops would exclude."""
     fit = fits[chosen]
-    coordinates = fit.stops.rows.shape[1]
     behind = [
-        (min(0.5 * (its.chi_squared - fit.chi_squared), fit.gain(coordinates) - its.gain(coordinates)), one)
+        (min(0.5 * (its.chi_squared - fit.chi_squared), fit.gain - its.gain), one)
         for one, its in fits.items()
         if one is not chosen
     ]
@@ -326,27 +308,22 @@ def _confounded(
     )
 
 
-def _best(fits: Sequence[_Fit], coordinates: int) -> int:
-    gains = [fit.gain(coordinates) for fit in fits]
-    return next(k for k, gain in enumerate(gains) if gain >= max(gains) - _TIE)
-
-
 def _fit(design: Design, stops: StopRows, one: Alternative, nuisance: list[int], rest: Moments, basis: Array) -> _Fit:
     """Fit the parameters of one alternative by least squares, together with those already known to have changed.
 
     ``rest`` are the stops with the latter projected out, ``basis`` (r, d) the alternative's directions there.
     """
-    members, belief = list(one.members), design.belief
-    before = float(rest.white @ rest.white)
+    belief, before = design.belief, float(rest.white @ rest.white)
+    penalty = 0.5 * len(basis) * math.log(len(rest.white))
     moved = np.array([one.kind == "tracker" or list(belief.arms)[arm] == one.arm for arm in stops.arm_of])
     if one.kind not in ("tracker", "base") or np.sum(moved & stops.points) < FEWEST_POINTS:
         explained = float(np.sum((basis @ rest.white) ** 2))
-        return _Fit(members, stops, before - explained, explained, len(basis), None)
-    whole = [*nuisance, *members]
+        return _Fit(stops, before - explained, 0.5 * explained - penalty, None)
+    whole = [*nuisance, *one.members]
     linear = [k for k in whole if design.directions[k].kind not in ("tracker", "base")]
     motion, here = solve_motion(stops, centre_of(belief), moved, linear)
     chi_squared = float(np.sum(after(Moments.of(here), whole).white ** 2))
-    return _Fit(members, here, chi_squared, before - chi_squared, len(basis), motion)
+    return _Fit(here, chi_squared, 0.5 * (before - chi_squared) - penalty, motion)
 
 
 def _tells(design: Design, cause: Alternative, sizes: Array, other: Alternative) -> bool:

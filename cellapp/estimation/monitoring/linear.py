@@ -250,7 +250,7 @@ def stop_rows(belief: CheckBelief, readings: Mapping[str, Readings], directions:
             drift = twists(p_M[at] - arm_centre(arm), angular[at]).reshape(-1, 6) * _day_sizes(arm)
             K[here, here] += drift @ drift.T
         rows[:, here] = _moved(directions, name, X, station[:, here])
-        _add_noise(K, first, noise_covariance(arm, its, again))
+        K[here, here] += scipy.linalg.block_diag(*noise_covariance(arm, its, again))
         first = here.stop
     if belief.station is not None:
         T = twists(p_M, angular).reshape(total, 6)
@@ -335,12 +335,6 @@ def _day_sizes(arm: ArmBelief) -> Array:
     return arm.day_m * math.sqrt(0.5) * np.repeat([1.0 / math.sqrt(3.0), 1.0 / by_rotation], 3)
 
 
-def _add_noise(K: Array, first: int, blocks: Array) -> None:
-    for k, block in enumerate(blocks):
-        rows = slice(first + 3 * k, first + 3 * k + 3)
-        K[rows, rows] += block
-
-
 # -- How far a change moves the SMR at the calibration's readings, of which its visible size follows ------------------
 
 
@@ -361,11 +355,6 @@ def _moved(directions: Sequence[Changing], name: str, X: Array, station: Array) 
         if one.arm in (name, TRACKER):
             found[k] = one.row_of(X if one.arm == name else station)
     return found
-
-
-def calibration_motions(belief: CheckBelief, directions: Sequence[Changing]) -> dict[str, Array]:
-    """Compute ``motions`` of each arm at the readings of the calibration."""
-    return {name: motions(belief, name, arm.measured, directions) for name, arm in belief.arms.items()}
 
 
 def visibility(belief: CheckBelief, directions: Sequence[Changing], moved: Mapping[str, Array]) -> tuple[Array, Array]:

@@ -23,7 +23,6 @@ from cellapp.estimation.monitoring.causes import (
     SPENT_EARLY,
     Cause,
     Design,
-    Explanation,
     MinPValueTest,
     explain,
     log_valid,
@@ -32,7 +31,6 @@ from cellapp.estimation.monitoring.linear import (
     Moments,
     StopRows,
     alternatives_of,
-    calibration_motions,
     conditions_now,
     directions_of,
     motions,
@@ -126,8 +124,8 @@ def concluded(design: Design, stops: StopRows, state: SequentialState, planned: 
     """Draw the conclusion from all stops and the state of the test, which says whether something changed."""
     moments = Moments.of(stops)
     test = MinPValueTest.of(moments, design.alternatives)
-    verdict, found, weak, stray = judgement(design, stops, state)
-    T = next((one.motion for one in found.causes if one.alternative.kind == "tracker"), None)
+    verdict, causes, weak, stray = judgement(design, stops, state)
+    T = next((one.motion for one in causes if one.alternative.kind == "tracker"), None)
     arms = design.belief.arms
     return CheckResult(
         verdict=verdict,
@@ -136,24 +134,24 @@ def concluded(design: Design, stops: StopRows, state: SequentialState, planned: 
         p_value=test.corrected(test.least(moments)),
         false_alarm=design.false_alarm,
         miss=MISS,
-        changes=tuple(_change(design, one) for one in found.causes),
-        arms=_checked(design, stops, found.causes, verdict != "not explained" and stray is None),
+        changes=tuple(_change(design, one) for one in causes),
+        arms=_checked(design, stops, causes, verdict != "not explained" and not stray),
         station_shift_mm=None if T is None else float(np.linalg.norm(T[:3, 3])) * 1e3,
         station_turn_deg=None if T is None else math.degrees(float(np.linalg.norm(rotation_vectors(T[None, :3, :3])))),
         T_new_old=None if T is None else rows_of(T),
         moved_bases={
             one.alternative.arm: rows_of(one.motion @ arms[one.alternative.arm].model.geometry.T_M_B())
-            for one in found.causes
+            for one in causes
             if one.alternative.kind == "base" and one.motion is not None
         },
         smr_offsets_F={
             one.alternative.arm: xyz_of(arms[one.alternative.arm].model.geometry.tool + _in_units(design, one)[:3])
-            for one in found.causes
+            for one in causes
             if one.alternative.kind == "smr"
         },
         weak=weak,
         visible=_visible(design),
-        notes=_notes(design, found, weak, verdict, stray),
+        notes=_notes(design, causes, weak, verdict, stray),
     )
 
 
@@ -169,31 +167,26 @@ def _visible(design: Design) -> dict[str, dict[str, float]]:
 
 def judgement(
     design: Design, stops: StopRows, state: SequentialState
-) -> tuple[CheckVerdict, Explanation, tuple[WeakChange, ...], int | None]:
-    """Return the verdict, its explanation, visible changes that may be missed, and the index of a stray point."""
-    nothing = Explanation((), 1.0)
+) -> tuple[CheckVerdict, tuple[Cause, ...], tuple[WeakChange, ...], bool]:
+    """Return the verdict, what changed, visible changes that may be missed, and whether one point is stray."""
     if not state.changed:
         weak = {} if state.valid else _weak(design, Moments.of(stops))
         unseen = any(one.detected > _MOST_UNSEEN * design.directions[k].step for k, one in weak.items())
-        return ("not decided" if unseen else "valid"), nothing, tuple(weak.values()), None
-    found = explain(design, stops)
-    if found.holds:
-        return _VERDICTS[found.causes[0].alternative.kind], found, (), None
-    stray = stray_point(stops)
-    return ("not explained", found, (), None) if stray is None else ("not decided", nothing, (), stray)
+        return ("not decided" if unseen else "valid"), (), tuple(weak.values()), False
+    causes, explained = explain(design, stops)
+    if explained:
+        return _VERDICTS[causes[0].alternative.kind], causes, (), False
+    return ("not decided", (), (), True) if one_is_stray(stops) else ("not explained", causes, (), False)
 
 
-def stray_point(stops: StopRows) -> int | None:
-    """Find the point without which the others show no change; None if no single point does that."""
+def one_is_stray(stops: StopRows) -> bool:
+    """Return whether there is a point without which the others show no change."""
     moments, factor = Moments.of(stops), stops.factor
     white, degrees = moments.white, moments.degrees - 3
     own = scipy.linalg.solve_triangular(factor, np.eye(len(factor)), lower=True).reshape(len(factor), -1, 3)
-    squares = []
-    for point in range(own.shape[1]):
-        basis = np.linalg.qr(own[:, point])[0]
-        squares.append(float(white @ white - np.sum((white @ basis) ** 2)))
-    best = int(np.argmin(squares))
-    return best if degrees > 0 and scipy.special.chdtrc(degrees, squares[best]) >= NOT_EXPLAINED else None
+    of_points = white @ np.linalg.qr(own.swapaxes(0, 1))[0]
+    least = float(white @ white - np.sum(of_points**2, axis=1).max())
+    return degrees > 0 and float(scipy.special.chdtrc(degrees, least)) >= NOT_EXPLAINED
 
 
 def _weak(design: Design, moments: Moments) -> dict[int, WeakChange]:
@@ -299,14 +292,14 @@ def _checked(design: Design, stops: StopRows, causes: Sequence[Cause], explained
 
 
 def _notes(
-    design: Design, found: Explanation, weak: Sequence[WeakChange], verdict: CheckVerdict, stray: int | None
+    design: Design, causes: Sequence[Cause], weak: Sequence[WeakChange], verdict: CheckVerdict, stray: bool
 ) -> tuple[str, ...]:
     notes = [
         f"the stops do not tell {design.name_of(cause.alternative)} from {', '.join(cause.confounded)}"
-        for cause in found.causes
+        for cause in causes
         if cause.confounded
     ]
-    if stray is not None:
+    if stray:
         notes.append(
             "one point alone does not agree with the model, and the others show no change; look at its SMR, at what it"
             " may have touched, and check again"
@@ -353,13 +346,8 @@ class SequentialTest:
         self._design = design
         self._planned = planned
         self._readings: dict[str, Readings] = {}
-        self._standing = NOTHING_YET
+        self.state = NOTHING_YET
         self._stops: StopRows | None = None
-
-    @property
-    def state(self) -> SequentialState:
-        """State after the stops so far."""
-        return self._standing
 
     def add(self, readings: Mapping[str, Readings]) -> SequentialState:
         """Add one or more stops: arm -> its readings (same ``configuration`` at the same stop) in the order of
@@ -383,8 +371,8 @@ class SequentialTest:
                 self._readings[name] = its if before is None else joined([before, its])
         if self._readings:
             self._stops = stop_rows(self._design.belief, self._readings, self._design.directions)
-            self._standing = judged(self._design, self._stops, self._planned, self._standing)
-        return self._standing
+            self.state = judged(self._design, self._stops, self._planned, self.state)
+        return self.state
 
     def conclusion(self) -> CheckResult:
         """Return the result from all stops so far, with the change that explains them, but without the stops.
@@ -396,21 +384,21 @@ class SequentialTest:
         """
         if self._stops is None:
             raise InputError("check: no stop was measured; there is nothing to conclude from")
-        return concluded(self._design, self._stops, self._standing, self._planned)
+        return concluded(self._design, self._stops, self.state, self._planned)
 
 
 def design_of(belief: CheckBelief) -> Design:
     """Define what a check of a cell tests: directions by visible steps, and alternatives."""
     least = directions_of(belief)
-    motions = calibration_motions(belief, least)
-    moved, shown = visibility(belief, least, motions)
+    by_arm = {name: motions(belief, name, arm.measured, least) for name, arm in belief.arms.items()}
+    moved, shown = visibility(belief, least, by_arm)
     located = np.array([one.kind == "tracker" and belief.station is not None for one in least])
     visible = (shown >= VISIBLE / MOST_STEPS) & ~located  # a located station is uncertain by as much
     steps = np.where(visible, np.maximum(1.0, VISIBLE / np.maximum(shown, 1e-300)), 1.0)
     directions = tuple(replace(one, step=one.step * size) for one, size in zip(least, steps.tolist(), strict=True))
     alternatives = tuple(alternatives_of(directions))
-    motions = {name: its * steps[:, None, None] for name, its in motions.items()}
-    return Design(belief, directions, alternatives, motions, steps, moved * steps, visible)
+    by_arm = {name: its * steps[:, None, None] for name, its in by_arm.items()}
+    return Design(belief, directions, alternatives, by_arm, steps, moved * steps, visible)
 
 
 def judged(design: Design, stops: StopRows, planned: int, before: SequentialState = NOTHING_YET) -> SequentialState:
@@ -431,5 +419,5 @@ def judged(design: Design, stops: StopRows, planned: int, before: SequentialStat
 
 def _named(design: Design, stops: StopRows) -> bool:
     """Return whether the changes explain the stops and no alternatives remain that more stops could exclude."""
-    found = explain(design, stops)
-    return found.holds and not any(cause.undecided for cause in found.causes)
+    causes, explained = explain(design, stops)
+    return explained and not any(cause.undecided for cause in causes)

@@ -233,7 +233,7 @@ def _stops(readings: Readings) -> Stops | None:
     if not learnt.any():
         return None
     approach = readings.approach.astype(np.float64)
-    return Stops(readings.q, readings.p_M, coordinate_uncertainty(readings), approach, readings.step, learnt)
+    return Stops(readings.q, readings.p_M, coordinate_uncertainty(readings), approach, learnt, readings.step)
 
 
 def _errors_at_rest(nominal: Geometry, found: Geometry, held_out: Readings) -> dict[Stage, StageErrors]:
@@ -364,10 +364,10 @@ class SearchWithRecordings:
         if not self.recordings.get(arm.name):
             return self.search_arm(arm, steps)
         motion, result = self._in_motion(arm, steps)
-        calibrated, laws = self.calibrated[arm.name], motion.laws
-        own = self._at_rest(arm, motion, laws.joints_with_history)
+        calibrated = self.calibrated[arm.name]
+        own = self._at_rest(arm, motion, motion.joints_with_history)
         held_out, of_others = (
-            HeldOut.of(its.readings, its.conditions) for its in (own, self._at_rest(arm, motion, laws.joints_at_rest))
+            HeldOut.of(its.readings, its.conditions) for its in (own, self._at_rest(arm, motion, motion.joints_at_rest))
         )
         found = None
         if motion.at_rest and len(held_out):
@@ -376,9 +376,7 @@ class SearchWithRecordings:
                 if error_mm >= _AS_IN_MOTION * motion.heldout_after_mm:
                     found = self.search_arm(arm, steps)
                 if found is None or error_mm < of_others.rms_mm(found.model):
-                    return _beside_motion(
-                        own, motion, held_out, before, result.model_copy(update={"used": True}), steps
-                    )
+                    return _beside_motion(own, motion, held_out, before, result, steps)
         found = found or self.search_arm(arm, steps)
         sentence = with_not_fitted(found.result.sentence, motion.not_fitted)
         return replace(found, result=found.result.model_copy(update={"motion": result, "sentence": sentence}))

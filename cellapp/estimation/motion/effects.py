@@ -28,13 +28,16 @@ from cellapp.estimation.calibration.least_squares import solve_psd
 from cellapp.estimation.motion.fit import Solution, Source, allow_for_missing, normal_equations, solve
 from cellapp.estimation.motion.identify import MotionFit, RecordedArm, held_out_rms_mm, motion_fit, motion_problem
 from cellapp.estimation.motion.laws import (
-    LOADED,
     Fading,
     JointLaw,
-    JointLaws,
+    JointState,
     JointTerm,
     Knee,
+    Masses,
+    TimedPath,
+    line,
     of_all_joints,
+    state_at_rest,
     state_in_motion,
 )
 from cellapp.estimation.motion.residuals import MotionProblem, residuals, whitening_filter
@@ -74,6 +77,11 @@ _WORTH_A_FIT = 0.5
 neighbours, so the evidence of the fit decides."""
 _ALIKE_TURNS = 1.0
 """Distance of two lines of one joint, times the turns that it made, below which they are one line."""
+_SEARCHED = (
+    *(JointLaw.PLAY, JointLaw.LAG, JointLaw.INERTIA, JointLaw.ONE_CYCLE),
+    *(JointLaw.WINDUP, JointLaw.COMPLIANCE),
+)
+"""Laws of all joints that are tried, beside those of plug-ins."""
 _OF_POSTURE = (JointLaw.WINDUP, JointLaw.COMPLIANCE, JointLaw.ONE_CYCLE)
 """Laws that a filter for slow noise suppresses while the residuals contain them: they are tested without it, too."""
 _AS_LIKELY = 4.5
@@ -89,8 +97,8 @@ _JUDGED_ROUNDS = 2
 class MotionDiscovery:
     """Fit with all effects found, in the order in which they entered, and the held-out errors before and after.
 
-    ``covariance`` (k, k) is that of the estimated geometry, then of the parameters of ``terms``;
-    ``laws`` are the laws of the joints with effects. ``not_fitted`` are candidates whose fit did not converge.
+    ``covariance`` (k, k) is that of the estimated geometry, then of the parameters of ``terms``. ``not_fitted`` are
+    candidates whose fit did not converge.
     """
 
     fit: MotionFit
@@ -98,7 +106,7 @@ class MotionDiscovery:
     heldout_before_mm: float
     heldout_after_mm: float
     covariance: Array = field(repr=False)
-    laws: JointLaws = field(repr=False)
+    masses: Masses | None = field(repr=False)
     not_fitted: tuple[str, ...] = ()
 
     @property
@@ -110,6 +118,28 @@ class MotionDiscovery:
     def at_rest(self) -> tuple[MotionEffect, ...]:
         """Effects that serve commands at rest."""
         return tuple(effect for effect in self.effects if effect.found.at_rest)
+
+    def joints_at_rest(self, path: TimedPath, time_s: Array) -> Array:
+        """Return the joint positions (n, N) [rad] at which an arm at rest has the points of these times (n,) [s]:
+        without the laws of motion only."""
+        state = state_in_motion(path, time_s, None)
+        return state.q + _offsets(state, [effect for effect in self.effects if not effect.found.at_rest])
+
+    def joints_with_history(self, path: TimedPath, time_s: Array) -> Array:
+        """Return ``joints_at_rest`` plus the part of the laws at rest that motion adds: lost motion from earlier
+        reversals, and the torque of accelerations. At rest, only the last motion of each joint is known."""
+        loaded = any(term.law.needs_torques for effect in self.at_rest for term in effect.terms)
+        masses = self.masses if loaded else None
+        q, moves = self.joints_at_rest(path, time_s), state_in_motion(path, time_s, masses)
+        side, travel = np.sign(np.rint(moves.direction)), path.travel_at(time_s, moves.q)
+        rests = state_at_rest(q, side, masses, travel)
+        return q + _offsets(moves, self.at_rest) - _offsets(rests, self.at_rest)
+
+
+def _offsets(state: JointState, effects: Sequence[MotionEffect]) -> Array:
+    """Return the sum of the offsets of the joints (n, N) [rad] by effects."""
+    values = [one.value for effect in effects for one in effect.found.parameters.values()]
+    return state.offsets(tuple(term for effect in effects for term in effect.terms), np.array(values))
 
 
 def effects_in_motion(arm: RecordedArm, told: Told = ignore_words) -> MotionDiscovery:
@@ -142,10 +172,7 @@ class _Search:
         """Add laws of all joints and lines until chance explains the rest."""
         state = _whitened(self._state(self.problem.with_terms(()), None))
         first_mm = state.heldout_mm
-        loaded = LOADED if self.problem.masses is not None else ()
-        own = [law for law in self.own if loaded or not law.needs_torques]
-        laws: list[JointLaw | MotionLaw] = [JointLaw.PLAY, JointLaw.LAG, JointLaw.INERTIA, JointLaw.ONE_CYCLE]
-        laws += [*loaded, *own]
+        laws = [law for law in (*_SEARCHED, *self.own) if state.problem.masses is not None or not law.needs_torques]
         while found := (
             self._law(state, laws)
             or self._all_lines(state)
@@ -175,18 +202,15 @@ class _Search:
         late = final.has(JointLaw.LAG) or final.has(JointLaw.TIME_CONSTANT)
         freed = allow_for_missing(final.problem, final.solution, with_clocks=not late)
         effects = effects_of(final)
-        stays, moves = (
-            tuple(pair for effect in effects if effect.found.at_rest is at_rest for pair in effect.valued)
-            for at_rest in (True, False)
-        )
-        places = [*range(final.problem.geometric), *final.places_of([term for term, _ in stays])]
+        stays = [term for effect in effects if effect.found.at_rest for term in effect.terms]
+        places = [*range(final.problem.geometric), *final.places_of(stays)]
         return MotionDiscovery(
             motion_fit(final.problem, freed),
             effects,
             first_mm,
             final.heldout_mm,
-            final.solution.noise.covariance[np.ix_(places, places)],
-            JointLaws(stays, moves, final.problem.masses),
+            final.solution.covariance[np.ix_(places, places)],
+            final.problem.masses,
             tuple(dict.fromkeys(self.not_fitted)),
         )
 
@@ -207,7 +231,7 @@ class _Search:
                 self.told(f"cycles of lines of joint {term.joint + 1}")
                 reach = _reach(state, term)
                 near = [t for t in lines if t.joint == term.joint and abs(t.cycles - term.cycles) <= 1.5 * reach]
-                better |= {line.place: None for line in near}
+                better |= {one.place: None for one in near}
                 better[term.place] = self._best_count(state, term, near, reach)
             if all(cycles == count for (_, cycles), count in better.items()):
                 break
@@ -217,7 +241,7 @@ class _Search:
     def _best_count(self, state: State, term: JointTerm, near: Sequence[JointTerm], reach: float) -> int:
         """Return the count with most power in the residuals without the lines ``near`` a line, within its reach."""
         values = state.solution.values.copy()
-        values[state.places_of([wave for line in near for wave in _pair(*line.place)])] = 0.0
+        values[state.places_of([wave for one in near for wave in line(*one.place)])] = 0.0
         ((power,), _) = line_powers(state.problem, replace(state.solution, values=values), [term.joint])
         power = np.where((np.abs(_COUNTS - term.cycles) <= reach) & (_COUNTS > 1), power, 0.0)
         count = int(np.argmax(power))
@@ -232,16 +256,16 @@ class _Search:
         for joint, cycles in places:
             free = [side for side in (-1, 1) if cycles > 2 and (joint, cycles + side) not in taken]
             taken |= {(joint, cycles + side) for side in free}
-            beside.append([replace(term, side=side) for side in free for term in _pair(joint, cycles + side)])
-        terms = tuple(term for its in beside for term in its)
-        if not terms:
+            beside.append([replace(term, side=side) for side in free for term in line(joint, cycles + side)])
+        beside = [its for its in beside if its]
+        if not beside:
             return state
         self.told("lines beside lines")
-        trial, tried = self._extended(state, terms), sum(cycles > 2 for _, cycles in places)
-        kept = tuple(term for its in beside if its and not self._by_chance(trial, its, tried) for term in its)
+        tried = sum(cycles > 2 for _, cycles in places)
+        trial, kept = self._with_proven(state, beside, self.alternatives * tried)
         if not kept:
             return state
-        trial = self._judged(trial if kept == terms else self._extended(state, kept))
+        trial = self._judged(trial)
         if _AS_WELL * trial.heldout_mm > state.heldout_mm:
             return state
         return trial.entered(step_of(JointLaw.LINE, kept, trial, tried, state))
@@ -269,7 +293,7 @@ class _Search:
         step = state.steps[-1]
         values, covariance = state.values_of(step.terms)
         late = tuple(
-            JointTerm(JointLaw.TIME_CONSTANT, term.joint, shape=(math.sqrt(-2.0 * value),))
+            JointTerm(JointLaw.TIME_CONSTANT, term.joint, "time_constant", shape=(math.sqrt(-2.0 * value),))
             for term, value, error in zip(step.terms, values.tolist(), np.sqrt(np.diag(covariance)).tolist())
             if value < -SHOWN * error
         )
@@ -288,10 +312,10 @@ class _Search:
         if not late:
             return state
         usual, own = float(np.median([term.shape[0] for term in late])), {term.joint: term for term in late}
-        joints = range(state.problem.parameters.joints)
-        everywhere = [own.get(joint, replace(late[0], joint=joint, shape=(usual,))) for joint in joints]
-        springs = sorted({term.joint for term in state.terms_of(JointLaw.VIBRATION)})
-        twisted = [JointTerm(JointLaw.INERTIA, joint) for joint in springs]
+        joints = state.problem.parameters.joints
+        everywhere = [own.get(joint, replace(late[0], joint=joint, shape=(usual,))) for joint in range(joints)]
+        springs = {term.joint for term in state.terms_of(JointLaw.VIBRATION)}
+        twisted = [term for term in of_all_joints(JointLaw.INERTIA, joints) if term.joint in springs]
         simple: dict[JointLaw | MotionLaw, list[JointTerm]]
         simple = {JointLaw.LAG: [], JointLaw.INERTIA: twisted, JointLaw.TIME_CONSTANT: everywhere}
         trial = self._settled(self._refitted(state, state.steps_with(simple)))
@@ -341,14 +365,15 @@ class _Search:
 
     def _without_chance(self, state: State) -> State:
         """Remove laws, and refining parts of laws, that entered early and that chance explains beside all others."""
+        tried = self.alternatives
         for step in state.steps:  # one by one: each vibrating joint has its own step
             if step.law is JointLaw.LINE:
                 continue
             parts = [term for term in step.terms if term.refines]
-            if parts and isinstance(step.law, JointLaw) and self._by_chance(state, parts, alternatives(step.law)):
+            if parts and _by_chance(state, parts, tried * alternatives(step.law)):
                 step = replace(step, terms=tuple(term for term in step.terms if not term.refines))
                 state = self._refitted(state, state.steps_without(parts))
-            by_chance = self._by_chance(state, step.terms) or is_improbable(state, beside_others(state, step))
+            by_chance = _by_chance(state, step.terms, tried) or is_improbable(state, beside_others(state, step))
             if by_chance or not state.shown(step.law):
                 state = self._refitted(state, state.steps_without(step.terms))
         return state
@@ -366,11 +391,6 @@ class _Search:
                 if trial.heldout_mm < _AS_WELL * state.heldout_mm:
                     state = trial
         return state
-
-    def _by_chance(self, state: State, terms: Sequence[JointTerm], more: int = 1) -> bool:
-        """Return whether chance explains some terms, of which there were ``more`` alternatives."""
-        log_p = log_chance(state.statistic_of(terms), len(tested(terms)), self.alternatives * more)
-        return log_p > math.log(_CHANCE)
 
     def _state(self, problem: MotionProblem, start: Array | None, steps: Sequence[LawStep] = ()) -> State:
         laws = list(dict.fromkeys(term.law.value for term in problem.terms))
@@ -402,7 +422,7 @@ class _Search:
         """Fit without whitening, for predictions. Lines, which are fast, keep their values from the whitened residuals
         if these determine them better than ``plain`` does."""
         problem, values = plain.problem, state.solution.values
-        own, theirs = (np.diag(one.solution.noise.covariance) for one in (state, plain))
+        own, theirs = (np.diag(one.solution.covariance) for one in (state, plain))
         lines = enumerate(problem.terms, start=problem.geometric)
         better = [place for place, term in lines if term.law is JointLaw.LINE and own[place] < theirs[place]]
         if not better:
@@ -485,21 +505,30 @@ class _Search:
             power[joint, np.abs(_COUNTS - cycles) <= max(1.0, _ALIKE_TURNS / max(turns[joint], 1e-3))] = 0.0
         power[:, :2] = 0.0
         strongest = enumerate(power.argmax(axis=1).tolist())
-        pairs = [_pair(joint, cycles) for joint, cycles in strongest if power[joint, cycles] > threshold]
+        pairs = [line(joint, cycles) for joint, cycles in strongest if power[joint, cycles] > threshold]
         if not pairs:
             return None
-        terms = tuple(term for pair in pairs for term in pair)
-        trial = self._extended(state, terms)
-        limit = float(scipy.special.chdtri(2, _CHANCE / power.size))
-        kept = tuple(term for pair in pairs if trial.statistic_of(pair) > limit for term in pair)
+        trial, kept = self._with_proven(state, pairs, power.size)
         if not kept:
             return None
-        if len(kept) < len(terms):
-            trial = self._extended(state, kept)
         judged = self._judged(trial)
         if judged.heldout_mm >= state.heldout_mm:
             return None
         return judged.entered(step_of(JointLaw.LINE, kept, trial, power.size, state))
+
+    def _with_proven(
+        self, state: State, groups: Sequence[Sequence[JointTerm]], tried: int
+    ) -> tuple[State, tuple[JointTerm, ...]]:
+        """Fit again with those groups of terms that chance does not explain beside all others; return them, too."""
+        trial = self._extended(state, [term for its in groups for term in its])
+        proven = [its for its in groups if not _by_chance(trial, its, tried)]
+        kept = tuple(term for its in proven for term in its)
+        return (self._extended(state, kept) if 0 < len(proven) < len(groups) else trial), kept
+
+
+def _by_chance(state: State, terms: Sequence[JointTerm], tried: int) -> bool:
+    """Return whether chance explains some terms, the best of ``tried`` alternatives."""
+    return log_chance(state.statistic_of(terms), len(tested(terms)), tried) > math.log(_CHANCE)
 
 
 def _whitened(state: State) -> State:
@@ -509,10 +538,6 @@ def _whitened(state: State) -> State:
         for number, (track, source) in enumerate(zip(state.problem.tracks, state.solution.sources))
     )
     return replace(state, problem=replace(state.problem, whitening=filters))
-
-
-def _pair(joint: int, cycles: int) -> tuple[JointTerm, JointTerm]:
-    return JointTerm(JointLaw.LINE, joint, cycles, False), JointTerm(JointLaw.LINE, joint, cycles, True)
 
 
 def _reach(state: State, term: JointTerm) -> float:
@@ -526,7 +551,7 @@ def _recounted(step: LawStep, better: Mapping[tuple[int, int], int | None]) -> L
     if step.law is not JointLaw.LINE:
         return step
     counts = [(term.joint, better[term.place]) for term in step.terms[::2]]
-    terms = [term for joint, count in counts if count is not None for term in _pair(joint, count)]
+    terms = [term for joint, count in counts if count is not None for term in line(joint, count)]
     return replace(step, terms=tuple(terms))
 
 
@@ -596,7 +621,7 @@ REFINED = (JointLaw.PLAY, JointLaw.WINDUP, JointLaw.COMPLIANCE)
 """Laws with refining parts."""
 
 
-def alternatives(law: JointLaw) -> int:
+def alternatives(law: JointLaw | MotionLaw) -> int:
     """Return the number of alternative parts, for the correction of p-values."""
     return len(_KNEES) ** 2 if law is JointLaw.COMPLIANCE else len(_KINDS) * len(REACHES)
 
@@ -609,10 +634,11 @@ def refining_terms(problem: MotionProblem, solution: Solution, law: JointLaw) ->
 
 
 def _fading(problem: MotionProblem, solution: Solution, law: JointLaw) -> tuple[JointTerm, ...]:
-    joints = range(problem.parameters.joints)
+    plain = of_all_joints(law, problem.parameters.joints)
+    joints = range(len(plain))
 
     def parts(kind: Fading, reaches: Sequence[float]) -> tuple[JointTerm, ...]:
-        return tuple(JointTerm(law, joint, fading=replace(kind, reach=own)) for joint, own in zip(joints, reaches))
+        return tuple(replace(term, fading=replace(kind, reach=own)) for term, own in zip(plain, reaches))
 
     options = [(kind, [reach] * len(joints)) for kind in _KINDS for reach in REACHES]
     gains = _gains(problem, solution, law, [part for option in options for part in parts(*option)])
@@ -646,7 +672,7 @@ def _knees(problem: MotionProblem, solution: Solution) -> tuple[JointTerm, ...]:
         options = [_one_or_two(grids[0], grids[-1]) for grids in near]
         chosen = _best_shares(problem, solution, largest, options)
     return tuple(
-        JointTerm(JointLaw.COMPLIANCE, joint, knee=Knee(share * torque, constant))
+        JointTerm(JointLaw.COMPLIANCE, joint, "compliance", knee=Knee(share * torque, constant))
         for joint, (own, torque) in enumerate(zip(chosen, largest.tolist()))
         for constant, share in zip(SOFTER, own)
     )
@@ -664,8 +690,8 @@ def _best_shares(
     """Choose one option of each joint, joint by joint the one with the largest gain beside those of the others."""
 
     def parts(chosen: Sequence[Sequence[float]]) -> list[JointTerm]:
-        softer = [(joint, Knee(share * largest[joint])) for joint, own in enumerate(chosen) for share in own]
-        return [JointTerm(JointLaw.COMPLIANCE, joint, knee=knee) for joint, knee in softer]
+        each = zip(of_all_joints(JointLaw.COMPLIANCE, len(largest)), chosen, largest.tolist(), strict=True)
+        return [replace(term, knee=Knee(share * torque)) for term, own, torque in each for share in own]
 
     every = parts([sorted({share for one in own for share in one}) for own in options])
     gains = _gains(problem, solution, JointLaw.COMPLIANCE, every)

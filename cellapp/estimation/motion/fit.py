@@ -44,12 +44,11 @@ from cellapp.estimation.calibration.least_squares import (
     shortened,
     solve_psd,
 )
-from cellapp.estimation.motion.laws import JointLaw, JointTerm
+from cellapp.estimation.motion.laws import JointLaw, JointTerm, line, of_all_joints
 from cellapp.estimation.motion.residuals import (
     Bands,
     Modelled,
     MotionProblem,
-    NoiseModel,
     Sums,
     averages_of,
     bands_of,
@@ -93,10 +92,10 @@ _ROUNDS = 4
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """The minimum: values, noise model, sources with their weights and used points, and the steps taken."""
+    """The minimum: values and their covariance, sources with their weights and used points, and the steps taken."""
 
     values: Array
-    noise: NoiseModel
+    covariance: Array = field(repr=False)
     information: Array = field(repr=False)
     precision: Array = field(repr=False)
     sources: tuple[Source, ...]
@@ -127,7 +126,7 @@ def with_lags_in_clocks(problem: MotionProblem, solution: Solution) -> tuple[Arr
         offsets = np.concatenate([problem.clock(number)[:-1] for number in range(len(problem.tracks))])
         apart[np.ix_(lags, lags)] -= 1.0 / len(lags)
         apart[np.ix_(offsets, lags)] += 1.0 / len(lags)
-    return apart @ solution.values, apart @ solution.noise.covariance @ apart.T
+    return apart @ solution.values, apart @ solution.covariance @ apart.T
 
 
 def thinned(rows: NDArray[np.intp], count: int) -> NDArray[np.intp]:
@@ -172,13 +171,13 @@ def _some_rows(problem: MotionProblem) -> list[NDArray[np.intp]]:
 def _stepped(problem: MotionProblem, values: Array, sources: Sequence[Source]) -> tuple[Solution, float]:
     """Return the solution after a step from ``values``, and the rms displacement of the points by the step [m]."""
     sums, most = _sums(problem, values, sources), _seconds_per_worth(problem, sources)
-    step, noise, worths, information, precision = _weighed_step(problem, values, sums, most)
+    step, covariance, worths, information, precision = _weighed_step(problem, values, sums, most)
     moves_all = information[(problem.parameters.names.index("x0"),) * 2]
     size = math.sqrt(max(float(step @ information @ step), 0.0) / max(float(moves_all), 1e-300))
     weighed = tuple(replace(one, worth=worth) for one, worth in zip(sources, worths, strict=True))
     if not size < _LAST_M:
         step = shortened(_FIT, step, partial(_loss, problem, values, weighed, precision))
-    return Solution(values + step, noise, information, precision, weighed), size
+    return Solution(values + step, covariance, information, precision, weighed), size
 
 
 def _loss(problem: MotionProblem, values: Array, sources: Sequence[Source], precision: Array, step: Array) -> float:
@@ -202,8 +201,8 @@ def normal_equations(problem: MotionProblem, values: Array, sources: Sequence[So
 
 def _weighed_step(
     problem: MotionProblem, values: Array, sums: Sequence[Sums], most: Array | None
-) -> tuple[Array, NoiseModel, list[float], Array, Array]:
-    """Compute a Gauss-Newton step with source weights and estimated prior spreads; return step, noise model, worths,
+) -> tuple[Array, Array, list[float], Array, Array]:
+    """Compute a Gauss-Newton step with source weights and estimated prior spreads; return step, covariance, worths,
     information and precision of the priors. ``most`` bounds the worths, see ``_bounded``."""
     worths, precision = _bounded([1.0] * len(sums), most), problem.precision
     for _ in range(_ROUNDS):
@@ -211,12 +210,11 @@ def _weighed_step(
         precision = _with_spreads(problem, values, A, precision)
         unit, H = with_priors(A, precision)
         step = unit * solve_psd(H, unit * (b + precision * (problem.mean - values)))
-        noise = noise_model([bands for *_, bands in sums], worths, step, precision, A)
-        levels = noise.level
+        covariance, levels = noise_model([bands for *_, bands in sums], worths, step, precision, A)
         if max(abs(level - 1.0) for level in levels) < _REWEIGHTED:
             break
         worths = _bounded([min(worth / level, _MOST_WORTH) for worth, level in zip(worths, levels, strict=True)], most)
-    return step, noise, worths, A, precision
+    return step, covariance, worths, A, precision
 
 
 def _seconds_per_worth(problem: MotionProblem, sources: Sequence[Source]) -> Array | None:
@@ -353,6 +351,10 @@ _NOTHING = 1e8
 """Precision of a law that is absent, in units of the inverse square of the standard deviation of its term."""
 
 
+_Sizes = tuple[Array, Array]
+"""Sizes of a discrepancy: variances (3 f,) of the functions of posture, and precisions (L,) of the laws."""
+
+
 @dataclass(frozen=True, eq=False)
 class _Seen:
     """All sources at the solution, in the columns (K) of all parameters and of the laws that the fit lacks.
@@ -385,29 +387,30 @@ class _Seen:
         noise, laws = math.log(float(np.mean(self.level))), self.law.max(initial=-1) + 1
         return np.array([noise, noise, *[2.0 * math.log(_USUAL)] * laws])
 
-    def equations(self, missing: _Missing) -> tuple[Array, Array, Array]:
+    def equations(self, missing: _Sizes) -> tuple[Array, Array, Array]:
         """Return products of columns and residuals (K + 1, K + 1) for a discrepancy, those of the functions of posture
         alone, and the precision of all columns (K,)."""
         both = np.column_stack([self.X, self.r])
-        of_posture, own = (both / missing.variance[:, None]).T @ both, self.precision.copy()
-        own[self.laws] = missing.precision
+        variance, of_laws = missing
+        of_posture, own = (both / variance[:, None]).T @ both, self.precision.copy()
+        own[self.laws] = of_laws
         return of_posture + self._rest, of_posture, own
 
-    def sizes(self, logs: Array) -> _Missing:
+    def sizes(self, logs: Array) -> _Sizes:
         """Return the sizes from log variances: of smooth functions, of all functions, of each law; with only the first,
         there is no discrepancy."""
         smooth = math.exp(logs[1]) * self.size**2 if len(logs) > 1 else 0.0
         laws = np.exp(-logs[2:][self.law]) if len(logs) > 1 else np.full(len(self.sd), _NOTHING)
-        return _Missing(smooth + np.full(len(self.r), math.exp(logs[0])), laws / self.sd**2)
+        return smooth + np.full(len(self.r), math.exp(logs[0])), laws / self.sd**2
 
     def cost(self, logs: Array) -> float:
         """Return minus the log of the restricted likelihood times the prior."""
-        found = self.sizes(logs)
-        normal, _, own = self.equations(found)
+        variance, precision = self.sizes(logs)
+        normal, _, own = self.equations((variance, precision))
         unit, H = with_priors(normal[:-1, :-1], own)
         L = np.linalg.cholesky(H + 1e-11 * np.eye(len(H)))
         y = scipy.linalg.solve_triangular(L, unit * (normal[:-1, -1] + self.pull), lower=True)
-        logarithms = np.log(found.variance).sum() - np.log(found.precision).sum()
+        logarithms = np.log(variance).sum() - np.log(precision).sum()
         logarithms += 2.0 * (np.log(np.diag(L)).sum() - np.log(unit).sum())
         by_prior = np.sum((logs - self.centre[: len(logs)]) ** 2) / _LOG_SD**2
         return float(logarithms + normal[-1, -1] - y @ y + by_prior) / 2.0
@@ -424,22 +427,14 @@ class _Seen:
         narrower = np.log(np.maximum(bent, 1.0 / _LOG_SD**2) * _LOG_SD**2)
         return found.x, -float(found.fun) - 0.5 * float(narrower.sum())
 
-    def missing(self) -> _Missing:
+    def missing(self) -> _Sizes:
         """Estimate the sizes of the discrepancy by restricted maximum likelihood, averaged over absence and
         presence."""
         (nothing, alone), (some, beside) = (self.best(count) for count in (1, len(self.centre)))
         share = float(scipy.special.expit(beside - alone + math.log(_USUALLY / (1.0 - _USUALLY))))
         without, lacking = self.sizes(nothing), self.sizes(some)
-        variance = share * lacking.variance + (1.0 - share) * without.variance
-        return _Missing(variance, 1.0 / (share / lacking.precision + (1.0 - share) / without.precision))
-
-
-@dataclass(frozen=True, eq=False)
-class _Missing:
-    """Sizes of the discrepancy: variances (3 f,) of the functions of posture and precisions (L,) of the laws."""
-
-    variance: Array
-    precision: Array
+        variance = share * lacking[0] + (1.0 - share) * without[0]
+        return variance, 1.0 / (share / lacking[1] + (1.0 - share) / without[1])
 
 
 def allow_for_missing(problem: MotionProblem, solution: Solution, *, with_clocks: bool = True) -> Solution:
@@ -447,9 +442,9 @@ def allow_for_missing(problem: MotionProblem, solution: Solution, *, with_clocks
     includes the discrepancy; without ``with_clocks`` only the covariance changes."""
     seen = _seen(problem, solution)
     missing = seen.missing()
-    arm = _noise_of_fit(seen.rest, ~seen.laws, solution, _as_fitted(seen, missing))
+    covariance, _ = _noise_of_fit(seen.rest, ~seen.laws, solution, _as_fitted(seen, missing))
     if not with_clocks:
-        return replace(solution, noise=arm)
+        return replace(solution, covariance=covariance)
     step, of_clocks = _weighed(seen, missing)
     clocks, of_arm = np.arange(problem.arm, len(problem.mean)), np.arange(problem.arm)
     theirs = np.flatnonzero(~seen.laws)[clocks]
@@ -457,15 +452,14 @@ def allow_for_missing(problem: MotionProblem, solution: Solution, *, with_clocks
     values[clocks] += change
     normal = solution.information + np.diag(solution.precision)
     values[of_arm] -= solve_psd(normal[np.ix_(of_arm, of_arm)], normal[np.ix_(of_arm, clocks)] @ change)
-    covariance = arm.covariance.copy()
     covariance[clocks] = covariance[:, clocks] = 0.0
-    covariance[np.ix_(clocks, clocks)] = of_clocks.covariance[np.ix_(theirs, theirs)]
-    return replace(solution, values=values, noise=replace(arm, covariance=covariance))
+    covariance[np.ix_(clocks, clocks)] = of_clocks[np.ix_(theirs, theirs)]
+    return replace(solution, values=values, covariance=covariance)
 
 
 def _noise_of_fit(
     rest: Sequence[Bands], fitted: NDArray[np.bool_], solution: Solution, modelled: Modelled | None = None
-) -> NoiseModel:
+) -> tuple[Array, tuple[float, ...]]:
     """Return the noise model of the fit's columns in bands of all columns."""
     still = np.zeros(len(solution.values))
     bands = [one.of(fitted) for one in rest]
@@ -508,7 +502,7 @@ def _seen(problem: MotionProblem, solution: Solution) -> _Seen:
         own_r.ravel(),
         np.repeat(size, 3),
         rest,
-        _noise_of_fit(rest, ~marked, solution).level,
+        _noise_of_fit(rest, ~marked, solution)[1],
         precision,
         pull,
     )
@@ -516,11 +510,11 @@ def _seen(problem: MotionProblem, solution: Solution) -> _Seen:
 
 def _laws(problem: MotionProblem) -> tuple[JointTerm, ...]:
     """Return the laws of joints that an arm may have and the fit lacks."""
-    joints = range(problem.parameters.joints)
+    joints = problem.parameters.joints
     own = {replace(term, law=JointLaw.LINE) if term.law is JointLaw.ONE_CYCLE else term for term in problem.terms}
-    lines = [JointTerm(JointLaw.LINE, joint, c, sine) for c in _CYCLES for joint in joints for sine in (False, True)]
-    elastic = [JointTerm(JointLaw.COMPLIANCE, joint) for joint in joints if problem.masses is not None]
-    lost = [JointTerm(JointLaw.PLAY, joint) for joint in joints]  # lags the motion, like a delay
+    lines = [term for cycles in _CYCLES for joint in range(joints) for term in line(joint, cycles)]
+    elastic = () if problem.masses is None else of_all_joints(JointLaw.COMPLIANCE, joints)
+    lost = of_all_joints(JointLaw.PLAY, joints)  # lags the motion, like a delay
     return tuple(term for term in (*lines, *elastic, *lost) if term not in own)
 
 
@@ -546,19 +540,21 @@ def _rest(X: Array, r: Array, basis: Array, *, in_time: bool) -> Bands:
     return replace(bands, count=np.maximum(bands.count - 3.0 * taken.gram.trace(axis1=1, axis2=2), 1.0))
 
 
-def _as_fitted(seen: _Seen, missing: _Missing) -> Modelled:
+def _as_fitted(seen: _Seen, missing: _Sizes) -> Modelled:
     """Return the discrepancy as it enters the fit: the covariance of ``X^T r`` for the columns of the fit."""
+    variance, precision = missing
     fitted, X = ~seen.laws, seen.X[:, ~seen.laws]
     everywhere = seen.X.T @ seen.X + sum(bands.gram.sum(axis=0) for bands in seen.rest)
     by_law = everywhere[np.ix_(seen.laws, fitted)]
-    spread = (X * missing.variance[:, None]).T @ X + (by_law / missing.precision[:, None]).T @ by_law
+    spread = (X * variance[:, None]).T @ X + (by_law / precision[:, None]).T @ by_law
     return Modelled(X.T @ X, spread)
 
 
-def _weighed(seen: _Seen, missing: _Missing) -> tuple[Array, NoiseModel]:
-    """Return the generalised least squares step of all columns from the solution, and its noise model."""
+def _weighed(seen: _Seen, missing: _Sizes) -> tuple[Array, Array]:
+    """Return the generalised least squares step of all columns from the solution, and its covariance."""
     normal, of_posture, own = seen.equations(missing)
     A, known = normal[:-1, :-1], Modelled(of_posture[:-1, :-1], of_posture[:-1, :-1])
     unit, H = with_priors(A, own)
     step = unit * solve_psd(H, unit * (normal[:-1, -1] + seen.pull))
-    return step, noise_model(seen.rest, [1.0 / its for its in seen.level], step, own, A, known)
+    covariance, _ = noise_model(seen.rest, [1.0 / its for its in seen.level], step, own, A, known)
+    return step, covariance

@@ -195,7 +195,7 @@ def motion_fit(problem: MotionProblem, solution: Solution) -> MotionFit:
     for place, term in enumerate(problem.terms, start=problem.geometric):
         if term.law is JointLaw.PLAY and term.fading is None:
             play[term.joint] = solution.values[place]
-            play_error[term.joint] = math.sqrt(solution.noise.covariance[place, place])
+            play_error[term.joint] = math.sqrt(solution.covariance[place, place])
     identification = _identification(problem, solution)
     has_stops = problem.stops is not None and len(solution.sources[-1].rows)
     return MotionFit(
@@ -278,7 +278,7 @@ def _clock_fit(track: Track, clock_s: Array, errors: Array) -> ClockResult:
 def _identification(problem: MotionProblem, solution: Solution) -> Identification:
     """Return the arm's part of the solution as an identification."""
     estimated, size, stops = problem.parameters, problem.geometric, problem.stops
-    covariance = solution.noise.covariance[:size, :size]
+    covariance = solution.covariance[:size, :size]
     information = _of_arm(solution.information, size)
     chosen = estimated
     if estimated.name == "auto":

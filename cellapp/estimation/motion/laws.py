@@ -26,7 +26,7 @@ Time constants, frequencies and dampings are not linear: their terms are lineari
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from functools import cached_property, partial
@@ -37,7 +37,7 @@ import scipy
 from numpy.typing import NDArray
 
 from cellapp.estimation.motion.streams import JointStream, Stamps, read_stamps
-from cellapp.robot.effects import MotionLaw
+from cellapp.robot.effects import Linear, MotionLaw
 from cellapp.robot.effects.backlash import share_after_motion
 from cellapp.robot.effects.joint_compliance import KNEE, SOFTER
 from cellapp.robot.effects.law import Constant
@@ -419,69 +419,79 @@ _OWN_INERTIA = 0.02
 """Inertia of a joint's own link about its axis [kg m^2], which point masses on the axis lack."""
 
 
+_WAVES = {"cos": Linear("rad", 3e-4), "sin": Linear("rad", 3e-4)}
+
+
 class JointLaw(Enum):
     """Law of one joint; the value is the slug of its effect.
 
     Attributes
     ----------
-    word, unit : str
-        Of its parameter; lines are named by their cycles, a vibration has several parameters.
-    sd : float
-        Prior standard deviation, several times the values of arms of this kind (handbook, chapter "effects").
+    parameters : mapping
+        Its parameters by name; ``most`` is the prior standard deviation, several times the values of arms of this kind
+        (handbook, chapter "effects").
     title : str
         Of an effect that the library of effects at rest does not have.
     only_motion : str
         Why stops cannot show it.
     """
 
-    PLAY = "backlash", "half_play", "rad", 1e-4
-    WINDUP = "friction_windup", "windup", "rad/Nm", 1e-5
-    LINE = "transmission_error", "", "rad", 3e-4
-    ONE_CYCLE = "encoder_eccentricity", "", "rad", 3e-4
-    LAG = "tracking_lag", "lag", "s", 5e-3, "delay of a joint behind the others", "a delay moves nothing at rest"
-    COMPLIANCE = "joint_compliance", "compliance", "rad/Nm", 2e-5
+    PLAY = "backlash", {"half_play": Linear("rad", 1e-4)}
+    WINDUP = "friction_windup", {"windup": Linear("rad/Nm", 1e-5)}
+    LINE = "transmission_error", _WAVES
+    ONE_CYCLE = "encoder_eccentricity", _WAVES
+    LAG = (
+        "tracking_lag",
+        {"lag": Linear("s", 5e-3)},
+        *("delay of a joint behind the others", "a delay moves nothing at rest"),
+    )
+    COMPLIANCE = "joint_compliance", {"compliance": Linear("rad/Nm", 2e-5)}
     INERTIA = (
-        *("inertia", "inertia", "s^2", 1e-3),
+        "inertia",
+        {"inertia": Linear("s^2", 1e-3)},
         *("twist of a joint under its own acceleration", "nothing accelerates at rest"),
     )
     TIME_CONSTANT = (
-        *("time_constant", "time_constant", "s", 3e-2),
+        "time_constant",
+        {"time_constant": Linear("s", 3e-2)},
         *("first-order lag of a joint behind its encoder", "a time constant moves nothing at rest"),
     )
     VIBRATION = (
-        *("vibration", "", "", 0.0),
+        "vibration",
+        {"gain": Linear("s^2", 1e-3), "frequency": Linear("Hz", math.inf), "damping": Linear("1", math.inf)},
         *("vibration of a joint after changes of acceleration", "an arm at rest does not swing"),
     )
 
-    word: str
-    unit: str
-    sd: float
+    parameters: Mapping[str, Linear]
     title: str
     only_motion: str
 
-    def __new__(cls, value: str, word: str = "", unit: str = "", sd: float = 0.0, *texts: str) -> JointLaw:
+    def __new__(cls, value: str, parameters: Mapping[str, Linear], title: str = "", only_motion: str = "") -> JointLaw:
         made = object.__new__(cls)
-        made._value_, made.word, made.unit, made.sd = value, word, unit, sd
-        made.title, made.only_motion = texts or ("", "")
+        made._value_, made.parameters, made.title, made.only_motion = value, parameters, title, only_motion
         return made
 
+    @property
+    def needs_torques(self) -> bool:
+        """Whether it depends on torques."""
+        return self in (JointLaw.WINDUP, JointLaw.COMPLIANCE)
 
-LOADED = (JointLaw.WINDUP, JointLaw.COMPLIANCE)
-"""Laws that depend on torques."""
+
 _SIDE_SD = 3e-5
 """Prior standard deviation of the modulation of a line: part of its amplitude [rad]."""
-_VIBRATION = (("gain", "s^2"), ("frequency", "Hz"), ("damping", "1"))
-"""Parameters of a vibration with their units: deflection per acceleration, natural frequency, damping ratio."""
-_GAIN_SD, _SHAPE_SD = 1e-3, 0.5
-"""Prior standard deviations: of a gain [s^2], that of a spring at 5 Hz; relative ones of frequency and damping."""
+_SHAPE_SD = 0.5
+"""Relative prior standard deviation of the frequency and of the damping of a vibration."""
 
 
 def of_all_joints(law: JointLaw | MotionLaw, joints: int) -> tuple[JointTerm, ...]:
     """Return the parameters of a law at all joints, except for lines and shaped laws."""
-    names = tuple(law.parameters) if isinstance(law, MotionLaw) else ("",)
-    if law is JointLaw.ONE_CYCLE:
-        return tuple(JointTerm(law, joint, 1, sine) for joint in range(joints) for sine in (False, True))
-    return tuple(JointTerm(law, joint, parameter=name) for joint in range(joints) for name in names)
+    cycles = 1 if law is JointLaw.ONE_CYCLE else 0
+    return tuple(JointTerm(law, joint, name, cycles) for joint in range(joints) for name in law.parameters)
+
+
+def line(joint: int, cycles: int) -> tuple[JointTerm, ...]:
+    """Return cosine and sine of a line."""
+    return tuple(JointTerm(JointLaw.LINE, joint, name, cycles) for name in JointLaw.LINE.parameters)
 
 
 @dataclass(frozen=True)
@@ -494,18 +504,14 @@ class Knee:
 
 @dataclass(frozen=True)
 class JointTerm:
-    """One parameter of a law: of joint ``joint`` (from 0); ``cycles`` a turn and ``sine`` for lines. ``shape`` is the
-    point of linearisation: a time constant [s], or gain [s^2], frequency [Hz] and damping ratio of a vibration.
-    ``part`` is the index of the parameter in it."""
+    """One parameter of a law: of joint ``joint`` (from 0), and ``cycles`` a turn for lines. ``shape`` is the point of
+    linearisation: a time constant [s], or gain [s^2], frequency [Hz] and damping ratio of a vibration."""
 
     law: JointLaw | MotionLaw
     joint: int
+    parameter: str
     cycles: int = 0
-    sine: bool = False
     shape: tuple[float, ...] = ()
-    part: int = 0
-    parameter: str = ""
-    """Name of the parameter in a law of a plug-in."""
     fading: Fading | None = None
     """Set for a part of play or wind-up that fades with the travel since the joint reversed."""
     knee: Knee | None = None
@@ -524,24 +530,20 @@ class JointTerm:
         return self.joint, self.cycles - self.side
 
     @property
+    def part(self) -> int:
+        """Index of the parameter in the shape; 0 without a shape."""
+        return list(self.law.parameters).index(self.parameter) if self.shape else 0
+
+    @property
     def name(self) -> str:
         """Name of the parameter, as in the library of effects."""
-        number = self.joint + 1
-        if isinstance(self.law, MotionLaw):
-            return f"{self.parameter}{number}"
-        if self.law in (JointLaw.LINE, JointLaw.ONE_CYCLE):
-            return f"{'sin' if self.sine else 'cos'}{self.cycles}q{number}"
-        if self.law is JointLaw.VIBRATION:
-            return f"{_VIBRATION[self.part][0]}{number}"
-        word = self.law.word if self.knee is None else SOFTER[self.knee.constant]
-        return f"{'fresh_' if self.fading else ''}{word}{number}"
+        word = self.parameter if self.knee is None else SOFTER[self.knee.constant]
+        return f"{'fresh_' if self.fading else ''}{word}{f'{self.cycles}q' if self.cycles else ''}{self.joint + 1}"
 
     @property
     def unit(self) -> str:
         """Unit of the parameter."""
-        if isinstance(self.law, MotionLaw):
-            return self.law.parameters[self.parameter].unit
-        return _VIBRATION[self.part][1] if self.law is JointLaw.VIBRATION else self.law.unit
+        return self.law.parameters[self.parameter].unit
 
     @property
     def start(self) -> float:
@@ -556,16 +558,9 @@ class JointTerm:
     @property
     def prior_sd(self) -> float:
         """Standard deviation of its prior."""
-        if isinstance(self.law, MotionLaw):
-            return self.law.parameters[self.parameter].most
-        if self.law is JointLaw.VIBRATION:
-            return _SHAPE_SD * self.start if self.part else _GAIN_SD
-        return _SIDE_SD if self.side else self.law.sd
-
-    @property
-    def needs_torques(self) -> bool:
-        """Whether it depends on torques."""
-        return self.law.needs_torques if isinstance(self.law, MotionLaw) else self.law in LOADED
+        if self.part:
+            return _SHAPE_SD * self.start
+        return _SIDE_SD if self.side else self.law.parameters[self.parameter].most
 
     def offset(self, state: JointState) -> Array:
         """Return the offset of the joint (n,) per unit of the parameter [rad]."""
@@ -582,7 +577,7 @@ class JointTerm:
         if self.law in (JointLaw.TIME_CONSTANT, JointLaw.VIBRATION):
             return self._of_course(state)
         if self.law in (JointLaw.LINE, JointLaw.ONE_CYCLE):
-            return np.asarray((np.sin if self.sine else np.cos)(self.cycles * state.q[:, j]))
+            return np.asarray((np.sin if self.parameter == "sin" else np.cos)(self.cycles * state.q[:, j]))
         torque = state.torque[:, j]
         return np.asarray(torque if self.knee is None else np.clip(torque, -self.knee.torque, self.knee.torque))
 
@@ -715,32 +710,3 @@ def torques_in_motion(path: TimedPath, time_s: Array, masses: Masses) -> Array:
     force, moment = force[:-1], moment[:-1]
     about = moment - np.cross(now.origins[:-1], force)
     return np.asarray(np.einsum("jna,jna->nj", now.rotations[:-1, :, :, 2], about))
-
-
-@dataclass(frozen=True, eq=False)
-class JointLaws:
-    """Laws of an arm's joints with their values: those that act at rest, and those of motion only."""
-
-    at_rest: tuple[tuple[JointTerm, float], ...]
-    moving: tuple[tuple[JointTerm, float], ...]
-    masses: Masses | None
-
-    def joints_at_rest(self, path: TimedPath, time_s: Array) -> Array:
-        """Return the joint positions (n, N) [rad] at which an arm at rest has the points of these times (n,) [s]:
-        without the laws of motion only."""
-        state = state_in_motion(path, time_s, None)
-        return state.q + state.offsets(*_apart(self.moving))
-
-    def joints_with_history(self, path: TimedPath, time_s: Array) -> Array:
-        """Return ``joints_at_rest`` plus the part of the laws at rest that motion adds: lost motion from earlier
-        reversals, and the torque of accelerations. At rest, only the last motion of each joint is known."""
-        terms, values = _apart(self.at_rest)
-        masses = self.masses if any(term.needs_torques for term in terms) else None
-        q, moves = self.joints_at_rest(path, time_s), state_in_motion(path, time_s, masses)
-        side, travel = np.sign(np.rint(moves.direction)), path.travel_at(time_s, moves.q)
-        rests = state_at_rest(q, side, masses, travel)
-        return q + moves.offsets(terms, values) - rests.offsets(terms, values)
-
-
-def _apart(pairs: tuple[tuple[JointTerm, float], ...]) -> tuple[tuple[JointTerm, ...], Array]:
-    return tuple(term for term, _ in pairs), np.array([value for _, value in pairs])

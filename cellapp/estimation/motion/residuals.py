@@ -127,22 +127,6 @@ class Modelled:
     spread: Array
 
 
-@dataclass(frozen=True, eq=False)
-class NoiseModel:
-    """Covariance of an estimate from residuals that are correlated in time.
-
-    Attributes
-    ----------
-    covariance : array, shape (k, k)
-    level : tuple of float
-        Variance of a weighted residual of each source as it affects the parameters: the mean of the band variances,
-        weighted by the information in each band. It is 1 if weights are right.
-    """
-
-    covariance: Array = field(repr=False)
-    level: tuple[float, ...]
-
-
 def with_priors(information: Array, precision: Array) -> tuple[Array, Array]:
     """Return units (K,) in which ``information`` (K, K) and the precision (K,) of priors have together a unit diagonal,
     and their sum (K, K) in these units."""
@@ -157,8 +141,11 @@ def noise_model(
     precision: Array,
     information: Array,
     modelled: Modelled | None = None,
-) -> NoiseModel:
-    """Estimate the noise model of the residuals after ``step``.
+) -> tuple[Array, tuple[float, ...]]:
+    """Estimate the covariance (k, k) of an estimate from residuals after ``step``, which are correlated in time.
+
+    Return also the level of each source: the variance of a weighted residual as it affects the parameters, the mean of
+    the band variances weighted by the information in each band. It is 1 if weights are right.
 
     Parameters
     ----------
@@ -193,7 +180,7 @@ def noise_model(
     if modelled is not None:
         by_step = root.T @ root
         covariance = covariance + by_step @ modelled.spread @ by_step
-    return NoiseModel(covariance, tuple(_level(grams[own], s[own]) for own in of_source))
+    return covariance, tuple(_level(grams[own], s[own]) for own in of_source)
 
 
 def whitening_filter(r: Array, period_s: float) -> Array:
@@ -246,14 +233,14 @@ _MOST_BLOCKS = 8000
 class Stops:
     """Readings at rest: joint positions (n, N) [rad], points (n, 3) [m], their standard uncertainty (n,) [m], the sign
     of each joint's last motion (n, N), 0 if unknown, and that motion (n, N) [rad], NaN if unknown. ``learnt`` (n,)
-    masks those that a fit may use; None for all."""
+    masks those that a fit may use."""
 
     q: Array
     p_M: Array
-    sigma_m: Array | None = None
-    approach: Array | None = None
+    sigma_m: Array | None
+    approach: Array
+    learnt: NDArray[np.bool_]
     step: Array | None = None
-    learnt: NDArray[np.bool_] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -318,7 +305,7 @@ class MotionProblem:
     @property
     def learnt(self) -> list[NDArray[np.intp]]:
         """Rows of every source that the fit may use."""
-        return [np.arange(len(its.p_M)) if its.learnt is None else np.flatnonzero(its.learnt) for its in self.holders]
+        return [np.flatnonzero(its.learnt) for its in self.holders]
 
     def geometry(self, values: Array) -> Geometry:
         """Return the geometry at values of the parameters."""
@@ -327,12 +314,11 @@ class MotionProblem:
     def joints(self, values: Array, number: int, rows: NDArray[np.intp]) -> JointState:
         """Return the state of the joints at some rows of one source."""
         holder = self.holders[number]
-        masses = self.masses if any(term.needs_torques for term in self.terms) else None
+        masses = self.masses if any(term.law.needs_torques for term in self.terms) else None
         if isinstance(holder, Track):
             return state_in_motion(holder.path, holder.controller_times(rows, values[self.clock(number)]), masses)
-        q = holder.q[rows]
-        direction = np.zeros_like(q) if holder.approach is None else holder.approach[rows]
-        return state_at_rest(q, direction, masses, None if holder.step is None else holder.step[rows])
+        step = None if holder.step is None else holder.step[rows]
+        return state_at_rest(holder.q[rows], holder.approach[rows], masses, step)
 
 
 Sums = tuple[Array, Array, Bands]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import chain
 
 import numpy as np
 import scipy
@@ -14,7 +14,7 @@ from cellapp.estimation.calibration.parameters import ParameterSet
 from cellapp.estimation.discovery.arm_data import whitening
 from cellapp.estimation.discovery.records import BeforeAfter, Evidence, LawRecord, MotionEffectResult
 from cellapp.estimation.motion.fit import Solution, with_lags_in_clocks
-from cellapp.estimation.motion.laws import JointLaw, JointState, JointTerm
+from cellapp.estimation.motion.laws import JointLaw, JointState, JointTerm, line, of_all_joints
 from cellapp.estimation.motion.residuals import MotionProblem, residuals
 from cellapp.estimation.motion.tracks import Track
 from cellapp.ground.results import Estimate
@@ -61,11 +61,6 @@ class MotionEffect:
     found: MotionEffectResult
     terms: tuple[JointTerm, ...]
     posterior: float
-
-    @property
-    def valued(self) -> list[tuple[JointTerm, float]]:
-        """Terms with their values."""
-        return list(zip(self.terms, (one.value for one in self.found.parameters.values()), strict=True))
 
     def term(self) -> EffectTerm:
         """Return an effect that acts at rest as a term of an arm model."""
@@ -324,7 +319,7 @@ def reshaped(terms: Sequence[JointTerm], values: Sequence[float]) -> list[JointT
     for place, term in enumerate(terms):
         if not term.shape:
             continue
-        near = [rest[replace(term, part=part)] for part in range(len(term.shape))]
+        near = [rest[replace(term, parameter=name)] for name in term.law.parameters]
         shape = tuple(float(np.clip(v, *reach)) for v, reach in zip(near, _REACH[term.law], strict=True))
         # at most a factor of two at once: far from its shape the linearisation fails
         shape = tuple(float(np.clip(new, 0.5 * old, 2.0 * old)) for new, old in zip(shape, term.shape))
@@ -349,8 +344,8 @@ def strongest_vibration(
     power = 0.5 * product**2 / square
     joint, place = np.unravel_index(int(np.argmax(power)), power.shape)
     gain = float(product[joint, place] / square[joint, place])
-    shape = (gain, float(FREQUENCIES[place]), _DAMPING)
-    terms = tuple(JointTerm(JointLaw.VIBRATION, int(joint), shape=shape, part=part) for part in range(len(shape)))
+    shape, law = (gain, float(FREQUENCIES[place]), _DAMPING), JointLaw.VIBRATION
+    terms = tuple(JointTerm(law, int(joint), name, shape=shape) for name in law.parameters)
     return float(power[joint, place]), terms
 
 
@@ -414,9 +409,9 @@ _PLAIN = (JointLaw.PLAY, JointLaw.WINDUP, JointLaw.LAG, JointLaw.COMPLIANCE)
 
 def foreseen_terms(joints: int) -> tuple[JointTerm, ...]:
     """Return the terms of all joints, law by law, that sweeps are to show."""
-    plain = [JointTerm(law, joint) for law in _PLAIN for joint in range(joints)]
-    lines = product(_CYCLES, range(joints), (False, True))
-    return (*plain, *(JointTerm(JointLaw.LINE, joint, cycles, sine) for cycles, joint, sine in lines))
+    plain = [of_all_joints(law, joints) for law in _PLAIN]
+    lines = [line(joint, cycles) for cycles in _CYCLES for joint in range(joints)]
+    return tuple(chain.from_iterable([*plain, *lines]))
 
 
 def motion_information(

@@ -76,11 +76,10 @@ def clock_start(
     """
     own = path.stamps.time_s
     step = max(_GRID_S, (own[-1] - own[0]) / _MOST_STEPS, (time_s[-1] - time_s[0]) / _MOST_STEPS)
-    by_joints, seen_joints = _joint_speeds(nominal, path, step, tool_unknown)
-    by_points, seen_points = _point_speeds(time_s, p_M, step)
-    _check_moving(where, "joints", by_joints, seen_joints)
-    _check_moving(where, "points", by_points, seen_points)
-    correlation, delays, overlap = _masked_correlation(by_joints, seen_joints, by_points, seen_points, step)
+    by_joints, by_points = _joint_speeds(nominal, path, step, tool_unknown), _point_speeds(time_s, p_M, step)
+    _check_moving(where, "joints", by_joints)
+    _check_moving(where, "points", by_points)
+    correlation, delays, overlap = _masked_correlation(by_joints, by_points, step)
     if not np.isfinite(correlation).any():
         raise InputError(f"{where}: the joints and the points have no {_LEAST_OVERLAP_S:g} s in common; record both")
     # a point with timestamp t was measured at controller time own[0] + (t - time_s[0]) + delay
@@ -96,18 +95,17 @@ def clock_start(
     return replace(alike[0], others_s=tuple(one.offset_s for one in alike[1:]))
 
 
-def _check_moving(where: str, what: str, speed: Array, seen: NDArray[np.bool_]) -> None:
-    if not seen.any() or float(np.sqrt(np.mean(speed[seen] ** 2))) < _STILL_M_S:
+def _check_moving(where: str, what: str, speed: Array) -> None:
+    known = speed[np.isfinite(speed)]
+    if not len(known) or float(np.sqrt(np.mean(known**2))) < _STILL_M_S:
         raise InputError(
             f"{where}: the {what} are at rest (rms speed below {_STILL_M_S * 1e3:g} mm/s): nothing tells the delay"
             " between the clocks; record a motion, or import the stops as readings"
         )
 
 
-def _joint_speeds(
-    nominal: Geometry, path: TimedPath, step: float, tool_unknown: bool
-) -> tuple[Array, NDArray[np.bool_]]:
-    """Return speeds of the SMR of the nominal arm [m/s] on a grid of times, and a mask of the known ones."""
+def _joint_speeds(nominal: Geometry, path: TimedPath, step: float, tool_unknown: bool) -> Array:
+    """Return speeds of the SMR of the nominal arm [m/s] on a grid of times; NaN where unknown."""
     t = path.stamps.time_s
     grid = np.arange(t[0], t[-1] - step, step)
     early, late = path.at(grid)[0], path.at(grid + step)[0]
@@ -118,30 +116,28 @@ def _joint_speeds(
     for tool in tools:
         arm = nominal.with_vector(np.concatenate([nominal.vector()[:-3], tool]))
         squares += np.sum((smr_positions(arm, late) - smr_positions(arm, early)) ** 2, axis=1)
-    return np.sqrt(squares / len(tools)) / step, path.known(grid) & path.known(grid + step)
+    return np.where(path.known(grid) & path.known(grid + step), np.sqrt(squares / len(tools)) / step, np.nan)
 
 
-def _point_speeds(time_s: Array, p_M: Array, step: float) -> tuple[Array, NDArray[np.bool_]]:
-    """Return speeds of the points [m/s] on a grid of times, without gross errors, and a mask of the known ones."""
+def _point_speeds(time_s: Array, p_M: Array, step: float) -> Array:
+    """Return speeds of the points [m/s] on a grid of times, without gross errors; NaN where unknown."""
     grid = np.arange(time_s[0], time_s[-1], step)
     place = np.clip(np.searchsorted(time_s, grid, side="right"), 1, len(time_s) - 1)
     known = time_s[place] - time_s[place - 1] < 3.0 * max(step, float(np.median(np.diff(time_s))))
     p = np.column_stack([np.interp(grid, time_s, scipy.ndimage.median_filter(p_M[:, axis], 5)) for axis in range(3)])
     speed = scipy.ndimage.median_filter(np.linalg.norm(np.diff(p, axis=0), axis=1) / step, 5)
-    return speed, known[1:] & known[:-1]
+    return np.where(known[1:] & known[:-1], speed, np.nan)
 
 
-def _masked_correlation(
-    a: Array, seen_a: NDArray[np.bool_], b: Array, seen_b: NDArray[np.bool_], step: float
-) -> tuple[Array, Array, Array]:
-    """Return correlation coefficients of ``a[i + k]`` and ``b[i]``, delays ``k step`` [s], and numbers of common
-    samples.
+def _masked_correlation(a: Array, b: Array, step: float) -> tuple[Array, Array, Array]:
+    """Return correlation coefficients of ``a[i + k]`` and ``b[i]`` where both are known, delays ``k step`` [s], and
+    numbers of common samples.
 
     Coefficients are NaN if the overlap is too short.
     """
     size = scipy.fft.next_fast_len(len(a) + len(b), real=True)
-    ma, mb = seen_a.astype(np.float64), seen_b.astype(np.float64)
-    a, b = (a - a[seen_a].mean()) * ma, (b - b[seen_b].mean()) * mb
+    ma, mb = (np.isfinite(one).astype(np.float64) for one in (a, b))
+    a, b = (np.where(np.isfinite(one), one - one[np.isfinite(one)].mean(), 0.0) for one in (a, b))
 
     def correlate(x: Array, y: Array) -> Array:
         return np.asarray(scipy.fft.irfft(scipy.fft.rfft(x, size) * np.conj(scipy.fft.rfft(y, size)), size))
@@ -343,10 +339,8 @@ def _segments(
             f"{where}: its clocks jump {int(segment.max())} times; look for stamps in another unit or lines in another"
             " order"
         )
-    beside = np.zeros(len(segment), dtype=bool)
-    for at_s, _ in path.stamps.steps:
-        beside |= np.abs(controller_s - at_s) < _BESIDE_STEP_S
-    return segment, beside
+    off_s = np.subtract.outer(controller_s, [at_s for at_s, _ in path.stamps.steps])
+    return segment, (np.abs(off_s) < _BESIDE_STEP_S).any(axis=1)
 
 
 def _starts_elsewhere(start: ClockStart, path: TimedPath, time_s: Array, p_M: Array) -> bool:

@@ -267,17 +267,10 @@ class SearchWithPriors:
                 final = model
                 break
             final = stated_model(update(learn, its.belief, its.since, terms).found, arm.profile.seed)
-        return _with_final_model(found, final, its, HeldOut.of(arm.readings, arm.conditions))
-
-
-def _with_final_model(found: ArmFound, final: ArmModel, earlier: Earlier, held_out: HeldOut) -> ArmFound:
-    """Return the outcome of a search with the model that includes all carried-over parameters."""
-    return found.with_model(
-        final,
-        held_out,
-        sentence=f"{found.result.sentence}; {since_words(earlier, found)}",
-        uncertainty_mm=held_out.predicted_uncertainty_mm(final),
-    )
+        held_out = HeldOut.of(arm.readings, arm.conditions)
+        sentence = f"{found.result.sentence}; {since_words(its, found)}"
+        uncertainty_mm = held_out.predicted_uncertainty_mm(final)
+        return found.with_model(final, held_out, sentence=sentence, uncertainty_mm=uncertainty_mm)
 
 
 def since_words(earlier: Earlier, found: ArmFound) -> str:

@@ -108,7 +108,7 @@ class NewEvidence:
     stated : array, shape (d, d)
         Stated covariance of the readings [m^2], zero if none is stated.
     drift : mapping
-        Part -> ``X U X^T`` (d, d), with U the squared drift units of the parameters.
+        Part -> ``X U X^T`` (d, d), with U the squared drift units of the parameters; empty if nothing is believed.
     of_rotations : array, shape (d, d), or None
         Covariance of a scatter of 1 rad in each component of the orientations alone.
     """
@@ -130,7 +130,8 @@ class NewEvidence:
         Q, R, _ = scipy.linalg.qr(by_free.T, pivoting=True)
         pivots = np.abs(np.diag(R))
         Z = Q[:, int(np.sum(pivots > _DEPENDENT * pivots[0])) :]
-        rows, units = every[len(free) :] @ Z, {part: _units(belief, part) for part in dict.fromkeys(belief.parts)}
+        drifting = () if belief.is_forgotten else dict.fromkeys(belief.parts)
+        rows, units = every[len(free) :] @ Z, {part: _units(belief, part) for part in drifting}
         angular = None if judged.angular is None else np.tile(judged.angular, 3)
         return cls(
             residuals=Z.T @ judged.residuals(model).T.ravel(),
@@ -313,8 +314,6 @@ _SUBSET_SEED = 0x51A7
 """Combined with the profile's seed, so that the sample of these readings is independent of all other samples."""
 _BELIEVED = 0.5
 """Share of the parameters' largest size above which the drift of a part means that it is not believed."""
-_GEOMETRY_UNIT = "m, rad"
-_SHARE_UNIT = "of their size"
 
 
 @dataclass(frozen=True, eq=False)
@@ -379,8 +378,7 @@ def _supported(profile: Profile, name: str, measured: Quantities, belief: Belief
     some = measured.take(_subset(profile, len(measured), _FEW_READINGS))
     found = []
     for one in (belief, belief.forgotten()):
-        problem = NewEvidence.of(one, first_model(profile, name, some, one), some)
-        drifts = (replace(problem, drift={}) if one.is_forgotten else problem).drifts()
+        drifts = NewEvidence.of(one, first_model(profile, name, some, one), some).drifts()
         found.append((drifts.log_likelihood - len(drifts.of_parts), one))
     return max(found, key=lambda pair: pair[0])[1]
 
@@ -390,13 +388,9 @@ def _changed(
 ) -> tuple[Belief, Drifts, list[SignatureChange], int]:
     """Return the belief widened by drifts and proven jumps, both of these, and the number of jumps tested."""
     problem = NewEvidence.of(belief, model, judged)
-    if belief.is_forgotten:
-        problem = replace(problem, drift={})
-        return belief, problem.drifts(), [], 0
-    columns = term_columns(model, judged)
-    remaining = candidates(belief, columns)
-    tested, needed = len(remaining), SURE + math.log(max(len(remaining), 1))
     drifts = problem.drifts()
+    remaining = [] if belief.is_forgotten else candidates(belief, term_columns(model, judged))
+    tested, needed = len(remaining), SURE + math.log(max(len(remaining), 1))
     variance = np.zeros(len(belief.mean))
     changes: list[SignatureChange] = []
     while len(changes) < _MOST_CHANGES and remaining:
@@ -425,9 +419,7 @@ def _covariance_matrix(stated: Array | None, count: int) -> Array:
     if stated is not None:
         blocks = stated[:, None, None] ** 2 * np.eye(3) if stated.ndim == 1 else stated
         rows = np.arange(count)
-        for a in range(3):
-            for b in range(3):
-                whole[a, rows, b, rows] = blocks[:, a, b]
+        whole[:, rows, :, rows] = blocks
     return whole.reshape(3 * count, 3 * count)
 
 
@@ -444,7 +436,7 @@ def _part(belief: Belief, part: SignaturePart, drift: float | None) -> PartDrift
     return PartDrift(
         parameters=len(places),
         drift=drift,
-        unit=_GEOMETRY_UNIT if part == "geometry" else _SHARE_UNIT,
+        unit="m, rad" if part == "geometry" else "of their size",
         used=drift is not None and drift < _BELIEVED * size,
     )
 

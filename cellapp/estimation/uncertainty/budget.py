@@ -85,19 +85,33 @@ class BudgetEvidence:
         return None if self.measured is None or self.measured.distance_m is None else self.measured.distance_m[1]
 
 
-def position_budget(profile: Profile, arm: str, known: BudgetEvidence) -> tuple[UncertaintyContribution, ...]:
-    """Return the contributions to the uncertainty of a position error of ``arm``; unstated ones have no value."""
-    return _position(profile, arm, known, known.farthest_m, _model(known))
-
-
-def target_budget(
-    profile: Profile, arm: str, known: BudgetEvidence, distance_m: float, parts: UncertaintyParts | None = None
+def position_budget(
+    profile: Profile,
+    arm: str,
+    known: BudgetEvidence,
+    distance_m: float | None = None,
+    parts: UncertaintyParts | None = None,
 ) -> tuple[UncertaintyContribution, ...]:
-    """Return the contributions at one place, ``distance_m`` from the tracker; ``parts`` are those of the command."""
+    """Return the contributions to the uncertainty of a position error of ``arm``; unstated ones have no value.
+
+    They are those at one place, ``distance_m`` from the tracker, else at the farthest; ``parts`` are those of a command
+    there.
+    """
+    distance_m = known.farthest_m if distance_m is None else distance_m
     model = _model(known)
     if parts is not None:
         model = _line(MODEL, _of_model_mm(parts), "A", "posterior of the model in force at the command")
-    return _position(profile, arm, known, distance_m, model)
+    growth = _growth(profile.arms[arm].type, known.discovered, known.measured)
+    moved = "the tracker was moved and located by a few points"
+    return (
+        _tracker(profile, distance_m),
+        _centering(profile),
+        _air(profile, distance_m),
+        _repeatability(known),
+        model,
+        *([] if known.station_mm is None else [_line(STATION, known.station_mm, "A", moved)]),
+        *([] if growth is None else [growth]),
+    )
 
 
 def distance_budget(position: Sequence[UncertaintyContribution]) -> tuple[UncertaintyContribution, ...]:
@@ -243,22 +257,6 @@ def _growth(
 # -- inside -----------------------------------------------------------------------------------------------------------
 
 
-def _position(
-    profile: Profile, arm: str, known: BudgetEvidence, distance_m: float | None, model: UncertaintyContribution
-) -> tuple[UncertaintyContribution, ...]:
-    growth = _growth(profile.arms[arm].type, known.discovered, known.measured)
-    moved = "the tracker was moved and located by a few points"
-    return (
-        _tracker(profile, distance_m),
-        _centering(profile),
-        _air(profile, distance_m),
-        _repeatability(known),
-        model,
-        *([] if known.station_mm is None else [_line(STATION, known.station_mm, "A", moved)]),
-        *([] if growth is None else [growth]),
-    )
-
-
 def _of_model_mm(parts: UncertaintyParts) -> float:
     """Return the standard uncertainty [mm] of a coordinate by the model alone."""
     return math.hypot(parts.parameters, parts.effects, parts.network, parts.extrapolation)
@@ -334,17 +332,16 @@ class MeasuredConditions:
 
 def measured_conditions(readings: Mapping[str, Readings]) -> dict[str, MeasuredConditions]:
     """Return the conditions of the readings of each arm."""
-    return {name: _of_arm(arm) for name, arm in readings.items()}
-
-
-def _of_arm(readings: Readings) -> MeasuredConditions:
-    return MeasuredConditions(
-        readings=len(readings),
-        distance_m=_range(np.linalg.norm(readings.p_M, axis=1)),
-        air_c=_range(readings.temperature_c),
-        joints_c=_range(readings.joint_temperature_c),
-        payload_kg=_range(readings.payload_kg),
-    )
+    return {
+        name: MeasuredConditions(
+            readings=len(its),
+            distance_m=_range(np.linalg.norm(its.p_M, axis=1)),
+            air_c=_range(its.temperature_c),
+            joints_c=_range(its.joint_temperature_c),
+            payload_kg=_range(its.payload_kg),
+        )
+        for name, its in readings.items()
+    }
 
 
 def _range(values: NDArray[np.float64] | None) -> Range | None:
@@ -385,15 +382,6 @@ def decided(low: float, high: float, tolerance: float) -> Conformity:
     return "does not conform" if low > tolerance else "not decided"
 
 
-def target_verdict(
-    value: float | None, expanded: float | None, tolerance: float | None, rule: DecisionRule
-) -> ToleranceVerdict:
-    """Return ``conformity`` in the words of targets; empty without a tolerance or a measurement."""
-    if value is None or tolerance is None:
-        return ""
-    return TARGET_WORDS[conformity(value, expanded, tolerance, rule)]
-
-
 # ---------------------------------------------------------------------------------------------------------------------
 # Judgement of measured targets and paths against their tolerances, by the single rule and with the same uncertainty.
 #
@@ -426,8 +414,10 @@ class Judge:
         return expanded_mm(self._budget(measured_M, parts))
 
     def verdict(self, error_mm: float | None, expanded: float | None, tolerance_mm: float | None) -> ToleranceVerdict:
-        """Return the verdict; empty without a tolerance or an error."""
-        return target_verdict(error_mm, expanded, tolerance_mm, self.rule)
+        """Return ``conformity`` in the words of targets; empty without a tolerance or an error."""
+        if error_mm is None or tolerance_mm is None:
+            return ""
+        return TARGET_WORDS[conformity(error_mm, expanded, tolerance_mm, self.rule)]
 
     def not_given(self, arms: Sequence[str]) -> tuple[str, ...]:
         """Return the missing contributions, without which the guarded rule decides nothing."""
@@ -442,7 +432,7 @@ class Judge:
         return [
             line
             for arm, p_M in measured_M.items()
-            for line in target_budget(
+            for line in position_budget(
                 self.profile, arm, self.known.get(arm, BudgetEvidence()), float(np.linalg.norm(p_M)), parts.get(arm)
             )
         ]

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from cellapp.estimation.uncertainty.records import CommonUncertainty, Six
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.chain import flange_poses
-from cellapp.robot.kinematics.transforms import Array, rotation_vectors, twist_columns
+from cellapp.robot.kinematics.transforms import Array, rotation_vectors, twist_columns, xyz_of
 from cellapp.robot.model import ArmModel
 from cellapp.robot.model.model import PosteriorSamples
 
@@ -40,12 +40,8 @@ class Divided:
         Of a coordinate of the TCP, with and without what is common [m].
     whole_rad, own_rad : array, shape (n,)
         Of the flange's rotation, the rms angle [rad].
-    flange_m, flange_rad : array, shape (3,)
-        What is common in the flange frame: of the TCP, and of the rotation about each axis.
-    base_m, base_rad : float
-        What is common in the base frame: of a coordinate at the targets, and of the rotation, the rms angle.
-    common_significant : bool
-        Whether what is common to the corrections is significant against what is common to the uncertainties.
+    common : CommonUncertainty
+        What is common, for a result; significant if what is common to the corrections is, against it.
     own_significant : bool
         Whether the own part of some correction is significant against the target's own uncertainty.
     """
@@ -54,26 +50,8 @@ class Divided:
     own_m: Array
     whole_rad: Array
     own_rad: Array
-    flange_m: Array
-    flange_rad: Array
-    base_m: float
-    base_rad: float
-    common_significant: bool
+    common: CommonUncertainty
     own_significant: bool
-
-    def record(self, tcp: Six | None, *, corrected: bool = True) -> CommonUncertainty:
-        """Return what is common, for a result; ``corrected`` says whether there were corrections to judge."""
-        x, y, z = (self.flange_m * 1e3).tolist()
-        about_x, about_y, about_z = (self.flange_rad * 1e3).tolist()
-        return CommonUncertainty(
-            tcp=tcp,
-            flange_mm=(x, y, z),
-            flange_mrad=(about_x, about_y, about_z),
-            base_mm=self.base_m * 1e3,
-            base_mrad=self.base_rad * 1e3,
-            own_mm=float(np.median(self.own_m)) * 1e3,
-            significant=self.common_significant if corrected else None,
-        )
 
 
 def divided(
@@ -83,11 +61,13 @@ def divided(
     conditions: MeasurementConditions,
     measured: Array,
     correction: Callable[[Array, MeasurementConditions], tuple[Array, Array]] | None = None,
+    stated: Six | None = None,
 ) -> Divided | None:
     """Divide the uncertainty of the point ``tcp`` (3,) on the flange at ``q`` (n, N); None if the model states none.
 
     ``conditions`` are those of the targets; ``measured`` (m, N) are the configurations of the readings; ``correction``
-    returns shift [m] and rotation [rad] of the TCP, each (k, 3), at any configurations; none if None.
+    returns shift [m] and rotation [rad] of the TCP, each (k, 3), at any configurations; none if None. ``stated`` is
+    the TCP as a result states it.
     """
     if arm.posterior is None:
         return None
@@ -113,18 +93,16 @@ def divided(
     common = _beyond(rigid_shift, rigid) or _beyond(common_rotation, angles)
     shift, rotation = (np.linalg.norm(one[0], axis=1) for one in (own_shift, own_rotation))
     sigma, sigma_rad = (np.sqrt(np.mean(one**2, axis=1)) for one in (rigid, angles))
-    return Divided(
-        whole_m,
-        own_m,
-        whole_rad,
-        own_rad,
-        flange_m=sigma[:3],
-        flange_rad=sigma_rad[:3],
-        base_m=float(np.sqrt(np.mean(sigma[3:6] ** 2))),
-        base_rad=float(np.sqrt(np.sum(sigma_rad[3:] ** 2))),
-        common_significant=common,
-        own_significant=bool(beyond(shift, rotation, own_m, own_rad).any()),
+    found = CommonUncertainty(
+        tcp=stated,
+        flange_mm=xyz_of(sigma[:3] * 1e3),
+        flange_mrad=xyz_of(sigma_rad[:3] * 1e3),
+        base_mm=float(np.sqrt(np.mean(sigma[3:6] ** 2))) * 1e3,
+        base_mrad=float(np.sqrt(np.sum(sigma_rad[3:] ** 2))) * 1e3,
+        own_mm=float(np.median(own_m)) * 1e3,
+        significant=None if correction is None else common,
     )
+    return Divided(whole_m, own_m, whole_rad, own_rad, found, bool(beyond(shift, rotation, own_m, own_rad).any()))
 
 
 def _with_tcp(arm: ArmModel, posterior: PosteriorSamples, tcp: Array) -> ArmModel:

@@ -16,7 +16,7 @@ from cellapp.estimation.motion.calibrate import SearchWithRecordings, calibrate_
 from cellapp.estimation.motion.effects import effects_in_motion
 from cellapp.estimation.motion.fit import solve
 from cellapp.estimation.motion.identify import RecordedArm, identify_from_motion, motion_problem
-from cellapp.estimation.motion.laws import JointLaw, JointTerm, joint_path, of_all_joints, state_in_motion
+from cellapp.estimation.motion.laws import JointLaw, joint_path, line, of_all_joints, state_in_motion
 from cellapp.estimation.motion.search_state import LawStep, State, effects_of
 from cellapp.estimation.motion.streams import JointStream
 from cellapp.ground.profile import DiscoverySettings
@@ -125,7 +125,7 @@ def test_two_cycles_beside_much_more_of_one_are_of_the_same_disc():
     recording = record(rng, arm, sweep(rng, 6, reach=2.5), seconds=100.0, point_hz=40.0, white=5e-6, slow=0.0)
     problem = motion_problem(RecordedArm(NOMINAL, (recording,), tool_unknown=True), lambda words: None)
     one_cycle = of_all_joints(JointLaw.ONE_CYCLE, 6)
-    lines = tuple(JointTerm(JointLaw.LINE, joint, 2, sine) for joint in range(2) for sine in (False, True))
+    lines = (*line(0, 2), *line(1, 2))
     steps = [
         LawStep(law, its, 100.0, -50.0, 1.0, 1.0)
         for law, its in ((JointLaw.LINE, lines), (JointLaw.ONE_CYCLE, one_cycle))

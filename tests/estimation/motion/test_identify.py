@@ -131,7 +131,8 @@ def test_stops_and_recordings_in_one_fit(case):
     arm, _, recording = case
     rng = np.random.default_rng(13)
     q = rng.uniform(-1.5, 1.5, (60, 6))
-    stops = Stops(q=q, p_M=arm.points(q) + rng.normal(0.0, 20e-6, q[:, :3].shape))
+    p_M = arm.points(q) + rng.normal(0.0, 20e-6, q[:, :3].shape)
+    stops = Stops(q, p_M, sigma_m=None, approach=np.zeros_like(q), learnt=np.ones(60, dtype=bool))
     alone, both = fit_of(recording), fit_of(recording, stops=stops)
     assert both.stops_scatter_m == pytest.approx(20e-6, rel=0.5)
     trial = rng.uniform(-1.5, 1.5, (200, 6))
