@@ -437,12 +437,6 @@ def fit_terms(data: ArmData, terms: ModelTerms, near: Identification | None = No
     return _linearised(data, terms, *_identify(data, terms, near))
 
 
-def fitted_model(data: ArmData, terms: ModelTerms) -> ArmModel:
-    """Return only the model of ``fit_terms``, without linearising."""
-    found, _ = _identify(data, terms)
-    return _fitted_model(data, found, terms, _layout(found, terms))
-
-
 def _layout(found: Identification, terms: ModelTerms) -> TermLayout:
     return TermLayout.of(len(found.parameter_set.columns), [term.size for term in terms])
 

@@ -372,13 +372,6 @@ def test_a_figure_that_does_not_settle_is_refused(tmp_path: Path, monkeypatch: p
         imported(measured().rows, tmp_path)
 
 
-def exchange(rows: Rows) -> None:
-    other = {"A": "A", "B": "C", "C": "B"}
-    for row in rows:
-        if row["configuration"] == "4":
-            row["smr"] = other[row["smr"]]
-
-
 def change(key: str, value: str, place: int) -> Callable[[Rows], None]:
     def act(rows: Rows) -> None:
         rows[place][key] = value

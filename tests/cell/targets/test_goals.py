@@ -39,8 +39,6 @@ from tests.sure import sure
 from tests.twin import HIDDEN, PROFILES, altered, finished_twin, small_twin
 from tests.verbs import certificate_run, export_as_run, push_run
 
-PROFILE = small_twin()
-
 coordinates = st.floats(-5.0, 5.0)
 points = st.tuples(coordinates, coordinates, coordinates)
 quaternions = st.tuples(*[st.floats(-1.0, 1.0)] * 4).filter(lambda q: np.linalg.norm(q) > 0.1)
