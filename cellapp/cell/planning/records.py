@@ -66,6 +66,11 @@ class JointCoverage(Record):
     used: tuple[float, float]
     largest_gap: float
 
+    @property
+    def share(self) -> float:
+        """Used range over the allowed one."""
+        return (self.used[1] - self.used[0]) / max(self.allowed[1] - self.allowed[0], 1e-12)
+
 
 class PlannedTime(Record):
     """Estimated time of collecting a plan [s], by what it is spent on."""
