@@ -356,8 +356,8 @@ class DesignJudge:
         conditions = sampled_conditions(profile, name, q, stops, rng)
         model = information_model(profile, name, q, conditions, potential=False)
         targets = workspace_configurations(profile, cell, name, _QUALITY_POINTS, rng)
-        points = model.prediction_rows(targets, sampled_conditions(profile, name, targets, stops, rng))
-        points = points.reshape(-1, points.shape[2]).astype(np.float32)
+        predicted = model.prediction_rows(targets, sampled_conditions(profile, name, targets, stops, rng))
+        points = predicted.reshape(-1, predicted.shape[2]).astype(np.float32)
         return cls(model, points, model.rows(q, conditions), stops, rng)
 
     def rows(self, q: Array) -> Array:
