@@ -19,13 +19,11 @@ from itertools import takewhile
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from cellapp.robot.effects import EFFECTS
 from cellapp.robot.kinematics.chain import BASE_NAMES, PROBE_NAMES, TOOL_NAMES, JointAngles, jacobian, parameter_unit
+from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model.model import ArmModel
-
-Array = NDArray[np.float64]
 
 MODEL_CHOICE = 1.25
 """Factor on standard errors of differences. They hold for the effects that were named; a weak effect that one run names

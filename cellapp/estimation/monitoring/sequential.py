@@ -93,13 +93,8 @@ def _information(design: Design, candidates: Mapping[str, Readings]) -> Array:
 
 # -- Derive the verdict of a check with its evidence, in the records of its result ------------------------------------
 
-_VERDICTS: Mapping[str, CheckVerdict] = {
-    "tracker": "tracker moved",
-    "base": "base moved",
-    "smr": "smr moved",
-    "parameter": "arm changed",
-    "effect": "arm changed",
-}
+_RIGID: Mapping[str, CheckVerdict] = {"tracker": "tracker moved", "base": "base moved", "smr": "smr moved"}
+"""Verdicts of rigid motions; of all else an arm changed."""
 
 
 _MOST_UNSEEN = 3.0
@@ -175,7 +170,7 @@ def judgement(
         return ("not decided" if unseen else "valid"), (), tuple(weak.values()), False
     causes, explained = explain(design, stops)
     if explained:
-        return _VERDICTS[causes[0].alternative.kind], causes, (), False
+        return _RIGID.get(causes[0].alternative.kind, "arm changed"), causes, (), False
     return ("not decided", (), (), True) if one_is_stray(stops) else ("not explained", causes, (), False)
 
 

@@ -172,7 +172,9 @@ class _Search:
         """Add laws of all joints and lines until chance explains the rest."""
         state = _whitened(self._state(self.problem.with_terms(()), None))
         first_mm = state.heldout_mm
-        laws = [law for law in (*_SEARCHED, *self.own) if state.problem.masses is not None or not law.needs_torques]
+        laws: list[JointLaw | MotionLaw] = [*_SEARCHED, *self.own]
+        if self.problem.masses is None:
+            laws = [law for law in laws if not law.needs_torques]
         while found := (
             self._law(state, laws)
             or self._all_lines(state)

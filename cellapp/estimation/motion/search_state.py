@@ -223,7 +223,7 @@ def _effect_of(state: State, group: Mapping[JointLaw | MotionLaw, tuple[JointTer
     at_rest = law in AT_REST
     found = MotionEffectResult(
         effect=law.value,
-        title=EFFECTS[law.value].title if law.value in EFFECTS else JointLaw(law.value).title,
+        title=law.title if isinstance(law, JointLaw) and law.title else EFFECTS[law.value].title,
         joints=tuple(sorted({term.joint + 1 for term in terms})),
         parameters=Estimate.by_name(names, values.tolist(), errors, [term.unit for term in terms]),
         evidence=Evidence(

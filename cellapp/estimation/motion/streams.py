@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 
 from cellapp.robot.kinematics.transforms import Array
 
-_Floats = NDArray[np.float64]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JointStream:
@@ -33,10 +31,10 @@ class JointStream:
         Joint positions of the other arm of the cell, if it moved meanwhile [rad].
     """
 
-    time_s: _Floats = field(repr=False)
-    q: _Floats = field(repr=False)
-    qd: _Floats | None = field(default=None, repr=False)
-    other_q: _Floats | None = field(default=None, repr=False)
+    time_s: Array = field(repr=False)
+    q: Array = field(repr=False)
+    qd: Array | None = field(default=None, repr=False)
+    other_q: Array | None = field(default=None, repr=False)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -55,9 +53,9 @@ class PointStream:
         Mask of points that no fit may use (`split` validate); None if the file does not state it.
     """
 
-    time_s: _Floats = field(repr=False)
-    p_M: _Floats = field(repr=False)
-    sigma_m: _Floats | None = field(default=None, repr=False)
+    time_s: Array = field(repr=False)
+    p_M: Array = field(repr=False)
+    sigma_m: Array | None = field(default=None, repr=False)
     held_out: NDArray[np.bool_] | None = field(default=None, repr=False)
 
 

@@ -340,7 +340,7 @@ def _segments(
             " order"
         )
     off_s = np.subtract.outer(controller_s, [at_s for at_s, _ in path.stamps.steps])
-    return segment, (np.abs(off_s) < _BESIDE_STEP_S).any(axis=1)
+    return segment, np.asarray(np.any(np.abs(off_s) < _BESIDE_STEP_S, axis=1))
 
 
 def _starts_elsewhere(start: ClockStart, path: TimedPath, time_s: Array, p_M: Array) -> bool:
