@@ -120,14 +120,6 @@ def test_a_file_of_the_eighth_schema_has_none_and_takes_some(run: RunFile) -> No
         assert [one.again for one in older.sessions()] == ["", "2"]
 
 
-# -- Readings of one arm, one after the other --------------------------------------------------------------------------
-
-
-def reading(number: int, **more: object) -> Readings:
-    values = {"q": np.full(3, 0.1 * number), "p_M": np.full(3, float(number)), **more}
-    return Readings.one(**values).at_stop(number)
-
-
 # -- Import in the order of measurement: each joint's last motion from the row before, and what contradicts it ---------
 
 JOINTS = {"left": 2, "right": 3}

@@ -17,7 +17,6 @@ from cellapp.cell.targets.compensate import compensate
 from cellapp.cell.targets.invert import invert_model
 from cellapp.cell.targets.prediction import Command, command_record
 from cellapp.cell.targets.targets import Partner, Target, load_targets
-from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.robot.effects import EFFECTS, EffectTerm
 from cellapp.robot.kinematics.transforms import rotation_zyx, zyx_angles
@@ -255,18 +254,3 @@ def test_if_one_arm_cannot_both_are_refused(run: RunFile, model: CellModel) -> N
     collision = altered(target, name="meet", partner={"position": (0.0, 0.0, 0.01), "rpy": None})
     meeting, _ = compensate(run.profile, model, [collision])
     assert "arms left and right" in meeting.refusal or "arm right" in meeting.refusal
-
-
-# -- Noise of measuring: the tracker's shape, the readings' size -------------------------------------------------------
-
-
-def readings(points: np.ndarray, covariance: np.ndarray | None) -> Readings:
-    n = len(points)
-    return Readings(
-        configuration=np.arange(n),
-        time_s=np.arange(n, dtype=np.float64),
-        q=np.zeros((n, 6)),
-        approach=np.zeros((n, 6), dtype=np.int8),
-        p_M=points,
-        covariance_M=covariance,
-    )
