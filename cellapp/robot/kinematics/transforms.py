@@ -167,15 +167,17 @@ def twist_columns(p: Array) -> Array:
     return columns
 
 
-def register(p_A: Array, p_B: Array) -> Array:
-    """Fit the ``T_A_B`` (4, 4) that maps points ``p_B`` (n, 3) onto ``p_A`` (n, 3) [m] by least squares.
+def register(p_A: Array, p_B: Array, weights: Array | None = None) -> Array:
+    """Fit the ``T_A_B`` (4, 4) that maps points ``p_B`` (n, 3) onto ``p_A`` (n, 3) [m] by weighted least squares.
 
-    The result is unique for three or more points that are not on one line.
+    ``weights`` (n,) default to one. The result is unique for three or more points that are not on one line.
     Source: Kabsch, Acta Cryst. A32 (1976) 922; the sign of the determinant, which excludes reflections, is from
     Umeyama, IEEE Trans. Pattern Anal. Mach. Intell. 13 (1991) 376.
     """
-    center_A, center_B = p_A.mean(axis=0), p_B.mean(axis=0)
-    u, _, vt = np.linalg.svd((p_A - center_A).T @ (p_B - center_B))
+    w = np.ones(len(p_A)) if weights is None else weights
+    w = w / w.sum()
+    center_A, center_B = w @ p_A, w @ p_B
+    u, _, vt = np.linalg.svd(((p_A - center_A) * w[:, None]).T @ (p_B - center_B))
     rotation = u @ np.diag([1.0, 1.0, math.copysign(1.0, float(np.linalg.det(u @ vt)))]) @ vt
     return transform(rotation, center_A - rotation @ center_B)
 
