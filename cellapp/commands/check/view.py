@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 from cellapp.commands.check.request import CheckRequest
 from cellapp.commands.record import View
 from cellapp.commands.view.parts import Part
-from cellapp.commands.view.table import Cell, Table, columns_of, table_of, with_rows
-from cellapp.estimation.monitoring.records import TRACKER, CheckResult, FoundChange, LocateResult
+from cellapp.commands.view.table import Cell, Table, columns_of, table_of, with_rows, without_empty
+from cellapp.estimation.monitoring.records import TRACKER, CheckedStop, CheckResult, FoundChange, LocateResult
 from cellapp.ground.counting import counted
 
 _VERDICTS = {
@@ -74,8 +75,8 @@ def location_sentences(result: LocateResult) -> list[str]:
 
 
 def check_tables(result: CheckResult) -> list[Table]:
-    """Show each arm's errors, and what changed."""
-    return [_arm_table(result), *with_rows(_change_table(result))]
+    """Show each arm's errors, what changed, and errors and evidence stop by stop."""
+    return [_arm_table(result), *with_rows(_change_table(result), _stop_table(result))]
 
 
 def check_sentences(result: CheckResult) -> list[str]:
@@ -155,3 +156,22 @@ def _change_table(result: CheckResult) -> Table:
         ("p", lambda one: _chance(one.p_value)),
         ("explains about as well", lambda one: ", ".join(one.rivals) or "nothing"),
     )
+
+
+def _stop_table(result: CheckResult) -> Table:
+    """Show which stop, and which arm there, stands out."""
+
+    def error(name: str, of: str) -> Callable[[tuple[int, CheckedStop]], float | None]:
+        return lambda row: getattr(row[1].points.get(name), of, None)
+
+    table = table_of(
+        "Check: errors and evidence stop by stop",
+        enumerate(result.stops, start=1),
+        ("stop", lambda row: row[0], "d"),
+        *((name, error(name, "error_mm"), ".3f", "mm") for name in result.arms),
+        *((name, error(name, "error_mrad"), ".3f", "mrad") for name in result.arms),
+        ("evidence of a change", lambda row: row[1].log_evidence, ".2f"),
+        ("evidence of none", lambda row: row[1].log_valid, ".2f"),
+        ("p", lambda row: _chance(row[1].p_value)),
+    )
+    return without_empty(table)

@@ -6,14 +6,14 @@ A list may have thousands of targets: a table shows those that need attention mo
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from operator import itemgetter
 from typing import Any
 
 from cellapp.cell.targets.records import CompensateResult, MeasuredTarget, TargetCommand, VerifyResult
 from cellapp.commands.calibrate.view import MM, error_table
-from cellapp.commands.compensate.words import PART_WORDS, arms_words, shown_tolerance
+from cellapp.commands.compensate.words import PART_WORDS, Measured, arms_words, shown_tolerance
 from cellapp.commands.view.table import Field, Table, urgent_rows, with_rows
 from cellapp.ground.grouping import grouped
 
@@ -110,6 +110,7 @@ def uncertainty_tables(result: CompensateResult) -> list[Table]:
         ("together", "uncertainty_mm", MM),
         _BOUND,
         ("branches", "branches", "d"),
+        ("tracker sees it", lambda target: {True: "yes", False: "no"}.get(target.visible)),
         urgency=lambda target: target.within_mm or 0.0,
     )
 
@@ -129,9 +130,11 @@ def measured_tables(verify: VerifyResult) -> list[Table]:
     arms = [
         table
         for arm in verify.arms
+        for rows in [measured_targets(verify, arm)]
         for table in urgent_rows(
             f"Arm {arm}: each target",
-            measured_targets(verify, arm),
+            rows,
+            _numbered(rows),
             ("target", "name"),
             ("frame", lambda row: "" if row.frame == "base" else row.frame),
             *_ERRORS,
@@ -159,10 +162,11 @@ def pair_tables(verify: VerifyResult) -> list[Table]:
 
     With two probes also the partner's flange seen from the first one.
     """
-    relative = partial(_in, "relative")
+    relative, rows = partial(_in, "relative"), [pair for pair in verify.pairs if pair.compensated_mm is not None]
     return urgent_rows(
         "Cooperative targets: error of the distance between both SMRs",
-        [pair for pair in verify.pairs if pair.compensated_mm is not None],
+        rows,
+        _numbered(rows),
         ("target", "name"),
         ("arms", lambda pair: arms_words(pair.arms)),
         ("distance", "wanted_mm", ".3f", "mm"),
@@ -180,6 +184,12 @@ def pair_tables(verify: VerifyResult) -> list[Table]:
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _numbered(rows: Sequence[Measured]) -> Field:
+    """Return the column with the places of all rows, which the chart beside the table has as its axis."""
+    places = {id(row): str(place) for place, row in enumerate(rows, start=1)}
+    return "number", lambda row: places[id(row)]
 
 
 def _prediction_urgency(target: TargetCommand) -> float:

@@ -165,6 +165,7 @@ def _orientations(result: Iso9283Result) -> Table:
         "Orientation accuracy AP and repeatability RP about the axes of the base [mrad]",
         [row for row in _measured(result, "pose") if row.one.orientation is not None],
         *_COMMANDED,
+        _AT_SPEED,
         ("pose", "one.pose"),
         *(
             (f"{short} {axis}", lambda row, what=what, place=place: getattr(row.one.orientation, what)[place], ".3f")

@@ -201,8 +201,8 @@ def load_sentences(loads: Sequence[PlannedLoad] | None) -> list[str]:
 
 
 def design_tables(design: PlanDesignResult) -> list[Table]:
-    """Show errors beside random stops, observability; errors by number of stops."""
-    tables = [quality_table(design), indices_table(design)]
+    """Show candidates, errors beside random stops, observability; errors by number of stops."""
+    tables = [candidates_table(design), quality_table(design), indices_table(design)]
     return [*tables, *(by_stops_table(name, arm) for name, arm in design.arms.items() if arm.by_stops)]
 
 
@@ -224,6 +224,20 @@ def design_sentences(design: PlanDesignResult) -> list[str]:
 def correlation_words(one: FactorCorrelation) -> str:
     """Return a correlation as "0.04 (approach side of joint 2 of left with time)"."""
     return f"{abs(one.correlation):.2f} ({one.factor} with {one.other})"
+
+
+def candidates_table(design: PlanDesignResult) -> Table:
+    """Show how many configurations were sampled for each arm, why some were rejected, and how many are left."""
+    found = (reason for arm in design.arms.values() for reason, count in arm.rejected.items() if count)
+    reasons = list(dict.fromkeys(found))
+    columns = columns_of("configurations", *((f"arm {name}", "d") for name in design.arms))
+    arms = design.arms.values()
+    rows: list[tuple[Cell, ...]] = [
+        ("sampled", *(arm.drawn for arm in arms)),
+        *((f"excluded by {reason}", *(arm.rejected.get(reason) for arm in arms)) for reason in reasons),
+        ("candidates", *(arm.candidates for arm in arms)),
+    ]
+    return Table("Candidates", columns, tuple(rows))
 
 
 def quality_table(design: PlanDesignResult) -> Table:

@@ -16,6 +16,7 @@ from cellapp.cell.run.records import ArmOrder
 from cellapp.cell.run.sqlite_file import Event
 from cellapp.commands.calibrate.held_out import HeldOutArm
 from cellapp.commands.certificate.judgements import judge_run
+from cellapp.commands.compensate.words import Measured
 from cellapp.commands.next_step import Step, arm_states, missing_step
 from cellapp.commands.run_results import RunResults, read_results
 from cellapp.commands.stages import HERE, next_command, read_stages
@@ -125,7 +126,7 @@ def read_report_data(run: RunFile) -> ReportData:
 
 def warnings(data: ReportData) -> list[str]:
     """Return the calibration's notes, and why targets were not measured."""
-    targets = data.results.verified.targets
+    targets: list[Measured] = [*data.results.verified.targets, *data.results.verified.pairs]
     return [*data.calibrate.notes] + [f"target {target.name}: {target.note}" for target in targets if target.note]
 
 

@@ -422,7 +422,8 @@ def _sources(columns: tuple[int, ...], joints: int) -> tuple[NDArray[np.intp], N
     """Return ``_source`` of some parameters as two arrays (k,), and a mask (k,) of the rotations."""
     sources = np.array([_source(column, joints) for column in columns], dtype=np.intp).reshape(-1, 2)
     names = all_names(joints)
-    return sources[:, 0], sources[:, 1], np.array([parameter_unit(names[column]) == "rad" for column in columns])
+    is_rotation = [parameter_unit(names[column]) == "rad" for column in columns]
+    return sources[:, 0], sources[:, 1], np.array(is_rotation, dtype=np.bool_)
 
 
 def _source(column: int, joints: int) -> tuple[int, int]:

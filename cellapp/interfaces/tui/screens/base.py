@@ -137,7 +137,7 @@ class DayScreen(Screen[None]):
         from cellapp.interfaces.render.terminal import plain_text  # late: results are shown after the start
         from cellapp.interfaces.tui.widgets.parts_view import words_first
 
-        text = with_keys(plain_text(words_first(view.parts), READING_WIDTH))
+        text = with_keys(plain_text(words_first([*view.failed, *view.parts]), READING_WIDTH))
         self.app.push_screen(reading_of(self.cell_app.record.name, [text]))
 
     def start(self, job: Job, shows_result: ShowsResult | None = None) -> None:

@@ -31,7 +31,7 @@ from cellapp.commands.compensate.target_list import (
     target_words,
 )
 from cellapp.commands.compensate.view import target_parts
-from cellapp.commands.compensate.words import compensate_summary, unknown_lines, verify_summary
+from cellapp.commands.compensate.words import compensate_summary, unknown_lines, verify_lines
 from cellapp.commands.docs.keys import SHOWN
 from cellapp.commands.push.request import VERB as PUSH
 from cellapp.commands.view.parts import Part
@@ -328,7 +328,7 @@ class TargetsScreen(DayScreen):
             arms = {} if results.calibrate is None else results.calibrate.arms
             names = () if profile is None else profile.arms
             charts = target_charts(verify, {name: arms[name].tracker_mm if name in arms else None for name in names})
-            parts += [*verify.complaints(), *verify_summary(verify), *charts, *all_measured_tables(verify)]
+            parts += [*verify.complaints(), *verify_lines(verify), *charts, *all_measured_tables(verify)]
         if results is not None and (compensate := results.compensate) is not None:
             words = (*compensate_summary(compensate), *unknown_lines(compensate.targets), *compensate.notes)
             parts += [*words, *stored_tables(compensate)]
