@@ -305,29 +305,32 @@ class Mover:
         """
         self._record_foreign_steps(start)
         self.departure = dict(start)
+        begins = {name: start[name] for name in ends}
+        self.emit(MotionBegun(self.stop, vectors(begins), vectors(ends), expected_s))  # listeners may be slow
         with self.cell.watch_tracker(self._tracker_died):
             self.ask_all({name: arm.confirm for name, arm in self.cell.arms.items()})
-            begins = {name: start[name] for name in ends}
-            self.emit(MotionBegun(self.stop, vectors(begins), vectors(ends), expected_s))
             self.reaction.check()  # the tracker watch has queried the tracker
             yield
 
     def along(self, ways: Iterable[Way], back: Sequence[Way] = ((),)) -> dict[str, ArmState]:
         """Move along the first way that the gate accepts, followed by one of ``back``, which is only checked.
 
-        Raise as ``move``; ``MotionRefused`` says what is wrong with the first way.
+        Raise as ``move``; ``MotionRefused`` says what is wrong with the first way. Once an arm has moved, no other way
+        is tried: commands are computed for where the arms were.
         """
         first: MotionRefused | None = None
         for way, after in product(ways, back):
+            states: dict[str, ArmState] = {}
             try:
                 legs = (*way, *after)
                 if len(legs) > 1 and (refusal := self.refusal(*legs)):  # ``move`` checks a single one
                     raise MotionRefused(f"refused to move: {refusal}")
-                states: dict[str, ArmState] = {}
                 for leg in way:
                     states |= self.move(leg)
                 return states
             except MotionRefused as error:
+                if states:
+                    raise
                 first = first or error
         assert first is not None
         raise first
