@@ -14,7 +14,7 @@ import pytest
 
 from cellapp.cell.driving.cell import Cell, one_by_one, open_cell
 from cellapp.cell.driving.collect import collect_run
-from cellapp.cell.driving.motion import Mover
+from cellapp.cell.driving.motion import MotionRefused, Mover
 from cellapp.cell.driving.reaction import StopReaction
 from cellapp.cell.planning.plan import plan_stops
 from cellapp.cell.planning.planned_stops import STOP_CONDITIONS_RESULT, PlannedStops, write_planned_stops
@@ -245,3 +245,20 @@ def test_the_rest_of_a_real_arm_ends_on_cancellation() -> None:
         control.cancel()
         with pytest.raises(Cancelled):
             mover.rest("left", 600.0)
+
+
+def test_once_an_arm_has_moved_no_other_way_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    first, second, other = ({"left": np.full(6, value)} for value in (0.1, 0.2, 0.3))
+    tried: list[Mapping[str, np.ndarray]] = []
+
+    def move(mover: Mover, targets: Mapping[str, np.ndarray]) -> dict[str, bool]:
+        tried.append(targets)
+        if targets is second:
+            raise MotionRefused("somebody stands there now")
+        return {"left": True}
+
+    monkeypatch.setattr(Mover, "move", move)
+    monkeypatch.setattr(Mover, "refusal", lambda mover, *legs: "")
+    with pytest.raises(MotionRefused, match="stands there"):
+        Mover.__new__(Mover).along([[first, second], [other]])
+    assert tried == [first, second]
