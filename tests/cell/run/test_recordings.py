@@ -406,6 +406,7 @@ def test_one_family_of_numbered_columns_are_the_joints() -> None:
     for other in ("tau_x1_", "b"):  # torques are none; of two families either may be
         names = ("t", *(f"{other}{n}" for n in range(4)), *(f"c{n}" for n in range(4 * (other == "b"))))
         assert not {"q1", "q2"} & set(understood(names, "joints", own).names)
+    assert understood(("t", "Robot X [mm]", "Robot Y [mm]"), "points", own).commanded == ()
 
 
 def test_stamps_may_be_dates_and_lost_beams_nan_or_zero(tmp_path: Path) -> None:
