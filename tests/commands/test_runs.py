@@ -411,7 +411,7 @@ def test_runs_that_cannot_be_compared_say_why(worn: Path, tmp_path: Path) -> Non
     assert remarks["m0"] == "first calibration"
     assert "'calibrate' is out of date (1 reading was added since)" in remarks["m1"]
     assert remarks["plan"] == "not calibrated"
-    assert any("is damaged" in problem for problem in result.problems)
+    assert any("is cut off" in problem for problem in result.problems)
     assert "nothing is compared" in history_sentences(result)[-1]
 
 

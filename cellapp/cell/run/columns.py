@@ -271,7 +271,7 @@ def _best(quantity: str, columns: Sequence[_Read], taken: Collection[str]) -> li
             return [one for one in its if chosen.get(one.number, one) is one]
     whole = [its for its in families if quantity != "p" or len({one.number for one in its}) == 3]
     rank = min((its[0].rank for its in whole), default=None)
-    return [one for its in whole if its[0].rank == rank for one in its] or list(columns)
+    return [one for its in whole if its[0].rank == rank for one in its] or [replace(one, rank=1) for one in columns]
 
 
 def _called(quantity: str, number: int, base: int, order: Mapping[int, tuple[int, str, str]]) -> str:

@@ -79,7 +79,7 @@ def _rows(arm: str, readings: Readings, names: Sequence[str]) -> list[tuple[str,
         elif values is not None:
             matrix = column.matrix(values)
             for place, name in enumerate(column.csv_names(readings.joints)):
-                texts[name] = ["" if number != number else repr(number) for number in matrix[:, place].tolist()]
+                texts[name] = ["" if one is None or one != one else str(one) for one in matrix[:, place].tolist()]
     empty = [""] * len(readings)
     return list(zip(*(texts.get(name, empty) for name in names), strict=True))
 
@@ -128,8 +128,7 @@ def _of_arrays(profile: Profile, name: str, quantities: Mapping[str, Any]) -> Re
             raise InputError(f"arm {name}: no quantity is called '{quantity}'{hint}")
     for column in COLUMNS:
         if column.required and column is not CONFIGURATION and quantities.get(column.name) is None:
-            shape = _shape_words(column, joints)
-            raise InputError(f"arm {name}: {column.name} is missing; expected an array {shape}")
+            raise InputError(f"arm {name}: {column.name} is missing; expected an array {_shape_words(column, joints)}")
     n = len(np.atleast_1d(np.asarray(quantities["q"], dtype=object)))
     given = {CONFIGURATION.name: np.arange(n)} | {key: its for key, its in quantities.items() if its is not None}
     values: dict[str, Any] = {
@@ -142,8 +141,8 @@ def _of_arrays(profile: Profile, name: str, quantities: Mapping[str, Any]) -> Re
 
 
 def _array(where: str, column: Column, value: ArrayLike, n: int, joints: int) -> Values:
-    """Convert a quantity to an array of its shape, or to n words."""
-    dtype = object if column is CONFIGURATION or column.dtype is str else np.float64
+    """Convert a quantity to an array of its shape, or to n words, with None for NaN."""
+    dtype = None if column is CONFIGURATION else object if column.dtype is str else np.float64
     try:
         array = np.asarray(value, dtype=dtype)
     except (TypeError, ValueError):
@@ -155,9 +154,9 @@ def _array(where: str, column: Column, value: ArrayLike, n: int, joints: int) ->
         single = "; a single row is array[np.newaxis]" if array.shape == expected[1:] else ""
         shape = _shape_words(column, joints)
         raise InputError(f"{where} has shape {array.shape}, expected {shape} with n = {n}, the rows of q{single}")
-    if column is CONFIGURATION:
-        return np.array(whole(array.tolist()), dtype=object)
-    return tuple(array.tolist()) if column.dtype is str else array
+    if column.dtype is str:
+        return tuple(None if one is None or one != one else str(one) for one in array.tolist())
+    return np.array(whole(array.tolist()), dtype=object) if column is CONFIGURATION else array
 
 
 def _shape_words(column: Column, joints: int) -> str:

@@ -164,9 +164,10 @@ def csv_rows(path: Path, what: str, row: str) -> Iterator[tuple[int, list[str]]]
     """
     with opened_text(path, what) as file:
         reader = csv.reader(file, strict=True)
-        filled = ((reader.line_num, cells) for cells in reader if any(cells))
+        numbered = ((reader.line_num, cells) for cells in reader)
+        line = 0
         try:
-            line, header = next(filled, (0, list[str]()))
+            line, header = next((one for one in numbered if any(one[1])), (0, list[str]()))
             names = _named([name.strip() for name in header])
             if not header:
                 raise InputError(f"{path} is empty; expected a header row and {row}")
@@ -175,14 +176,14 @@ def csv_rows(path: Path, what: str, row: str) -> Iterator[tuple[int, list[str]]]
                     f"{path}:{line}: the header is one column; separate columns by commas, and write 0.5, not 0,5"
                 )
             yield line, names
-            for line, cells in filled:
-                if len(cells) == len(names) or not cells[0].lstrip().startswith(COMMENTS):
+            for line, cells in numbered:
+                if any(cells) and (len(cells) == len(names) or not cells[0].lstrip().startswith(COMMENTS)):
                     yield line, _as_wide(f"{path}:{line}", cells, names, len(header))
         except csv.Error as error:
-            raise InputError(f"{path}:{reader.line_num}: not CSV: {error}; correct the line") from None
+            raise InputError(f"{path}:{line + 1}: not CSV: {error}; correct the line") from None
 
 
-def _as_wide(place: str, cells: list[str], names: Sequence[str], columns: int) -> list[str]:
+def _as_wide(place: str, cells: list[str], names: Sequence[str], columns: int, commas: bool = True) -> list[str]:
     """Return the cells of a row below ``names`` of the first ``columns``. Raise ``InputError`` if it is not as wide."""
     count = len(cells)
     unnamed = [number for number, cell in enumerate(cells, start=1) if number > len(names) and cell]
@@ -190,7 +191,7 @@ def _as_wide(place: str, cells: list[str], names: Sequence[str], columns: int) -
         raise InputError(f"{place}: column {unnamed[0]}: has no name; name it or remove it")
     if count not in (len(names), columns):
         column = names[count] if count < len(names) else f"column {len(names) + 1}"
-        hint = "; write 0.5, not 0,5, and texts with commas in quotes" if count > len(names) else ""
+        hint = "; write 0.5, not 0,5, and texts with commas in quotes" if count > len(names) and commas else ""
         raise InputError(f"{place}: {column}: the row has {count} cells, the header has {len(names)}{hint}")
     return cells[: len(names)]
 
@@ -281,15 +282,16 @@ class CsvFile:
 
     def rows(self) -> Iterator[tuple[int, list[str]]]:
         """Yield line and cells of each row below the header, which may be repeated. Raises as ``csv_rows``."""
-        for line, text in self._numbered():
-            cells = split_row(text, self.separator)
+        rows = ((line, split_row(text, self.separator)) for line, text in self._numbered())
+        if self == CsvFile(self.path, self.what, 1, self.names):  # plain CSV: a text in quotes may have several lines
+            below = itertools.islice(csv_rows(self.path, self.what, ROW), 1, None)
+            rows = ((line, cells) for line, cells in below if not cells[0].lstrip().startswith(COMMENTS))
+        for line, cells in rows:
             if cells[0].strip() == self.names[0] and tuple(map(str.strip, cells)) == self.names:
                 continue
-            if len(cells) < len(self.names) or any(cells[len(self.names) :]):
-                raise InputError(
-                    f"{self.path}:{line}: the row has {len(cells)} cells, the header has {len(self.names)}"
-                )
-            yield line, [plain_number(cell, self.decimal_comma, self.thousands) for cell in cells[: len(self.names)]]
+            kept = cells if any(cells[len(self.names) :]) else cells[: len(self.names)]
+            wide = _as_wide(f"{self.path}:{line}", kept, self.names, len(self.names), self.separator == ",")
+            yield line, [plain_number(cell, self.decimal_comma, self.thousands) for cell in wide]
 
     def texts(self) -> Iterator[str]:
         """Yield the rows below the header as text for numpy."""
@@ -300,16 +302,18 @@ class CsvFile:
                 )
                 yield self.separator.join(f'"{one}"' if self.separator in one else one for one in cells)
             else:
-                yield (text.replace(",", ".") if self.decimal_comma else text).replace(_MINUS, "-")
+                yield (text.replace(",", ".") if self.decimal_comma else text).replace(_MINUS, "-") + "\n"
 
     def _numbered(self) -> Iterator[tuple[int, str]]:
-        head = ""
+        head, quoted = "", False
         with opened_text(self.path, self.what, self.encoding) as file:
             for line, text in enumerate(file, start=1):
                 kept = text.strip("\r\n")
                 head = kept if line == self.head else head
-                if line > self.head and kept.strip() and kept != head and not kept.lstrip().startswith(COMMENTS):
+                comment = not quoted and kept.lstrip().startswith(COMMENTS)
+                if line > self.head and kept.strip(f" \t{self.separator}") and kept != head and not comment:
                     yield line, kept
+                    quoted ^= kept.count('"') % 2 == 1
 
 
 def read_header(path: Path, what: str, example: str) -> CsvFile:

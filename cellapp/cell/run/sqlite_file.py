@@ -286,7 +286,7 @@ def check_header(folder: Path, path: Path) -> None:
     Raises
     ------
     InputError
-        If it is missing, no run file, cut off within these bytes, or of a newer schema.
+        If it is missing, no run file, cut off, or of a newer schema.
     """
     if not folder.exists():
         raise InputError(f"{folder}: run folder not found; plan, import or run makes one")
@@ -296,10 +296,11 @@ def check_header(folder: Path, path: Path) -> None:
         raise InputError(f"{folder} holds no run ({FILE_NAME} is missing); give the folder of a run")
     with path.open("rb") as file:
         header = file.read(_HEADER_BYTES)
+        size = file.seek(0, os.SEEK_END)
     if not _MAGIC.startswith(header[: len(_MAGIC)]):
         raise InputError(f"{path} is not a run file (not SQLite); check the folder's name")
     if len(header) < _HEADER_BYTES:
-        raise InputError(f"{path} is cut off ({len(header)} bytes); restore it from a copy")
+        raise InputError(f"{path} is cut off ({size} bytes); restore it from a copy")
     version, application = int.from_bytes(header[60:64], "big"), int.from_bytes(header[68:72], "big")
     if application != APPLICATION_ID:
         raise InputError(f"{path} is an SQLite file, but not a run of cellapp; check the folder's name")
@@ -308,6 +309,11 @@ def check_header(folder: Path, path: Path) -> None:
             f"{path} was written by a newer cellapp (schema {version}, this one reads up to {SCHEMA_VERSION});"
             " install the newer cellapp to open it"
         )
+    log = Path(f"{path}-wal")  # may hold pages that the file lacks; SQLite's own check follows
+    stated = int.from_bytes(header[28:32], "big") * int.from_bytes(header[16:18], "big")
+    # SQLite trusts the stated size only if both counters of changes agree; its check misses part of the last page.
+    if size < stated and header[24:28] == header[92:96] and not (log.exists() and log.stat().st_size):
+        raise InputError(f"{path} is cut off: {size} bytes of {stated} are there; restore it from a copy")
 
 
 def check_integrity(path: Path, connection: sqlite3.Connection) -> None:

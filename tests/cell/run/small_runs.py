@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import os
 import random
 import sqlite3
 import struct
@@ -167,8 +168,9 @@ SPOILED: tuple[tuple[Callable[[Path], None], str], ...] = (
     (spoil_text, "is not a run file"),
     (spoil_empty, r"is cut off \(0 bytes\)"),
     (spoil_short, r"is cut off \(50 bytes\)"),
-    (spoil_header_only, "is damaged .* restore it from a copy"),
-    (spoil_cut, "is damaged .* restore it from a copy"),
+    (spoil_header_only, "is cut off: 100 bytes of .* restore it from a copy"),
+    (spoil_cut, "is cut off: .* restore it from a copy"),
+    (lambda path: os.truncate(path, path.stat().st_size - 100), "is cut off: .* restore it from a copy"),
     (spoil_middle, "is damaged .* restore it from a copy"),
     (spoil_newer, r"newer cellapp \(schema 99, this one reads up to 11\); install the newer"),
     (spoil_other, "is an SQLite file, but not a run of cellapp"),

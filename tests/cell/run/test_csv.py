@@ -157,7 +157,7 @@ def test_degrees_are_noticed_and_a_far_turned_joint_is_not_degrees(path: Path) -
         (HEADER.encode() + b"\n,,,,,,,,,,,\n", ":1", "there is a header row but no reading"),
         (HEADER.replace(",", ";").encode() + b"\n", ":1", "separate columns by commas"),
         (HEADER.encode() + b"\n\xff\xfe\n", "", "not UTF-8 text"),
-        (HEADER.encode() + b'\n0,"left,1\n', ":2", "not CSV"),
+        (HEADER.encode() + b'\n0,"left,1\n1,left\n', ":2", "not CSV"),
         (HEADER.encode() + b"\n" + b"1" * 200_000, ":2", "not CSV"),
         (b"SQLite format 3\x00" + bytes(100), "", ""),
     ],

@@ -215,7 +215,9 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
         (b"", "is empty"),
         (b"time_s;q1\n1;2\n", "q2: the column is missing"),
         (b"1;2;3\n1;2;3\n", "no row of names above"),
-        (b"time_s,q1,q2\n1,2\n", "the row has 2 cells"),
+        (b"time_s,q1,q2\n1,2\n", "q2: the row has 2 cells"),
+        (b"time_s,q1,q2\n1,2,3\n0,5,2,3\n", r"csv:3: column 4: the row has 4 cells, the header has 3; write 0\.5"),
+        (b"time_s,q1,q2\n1,2,3\n1,2,3,\n", "csv:3: column 4: the row has 4 cells"),
     ):
         binary.write_bytes(content)
         with pytest.raises(InputError, match=said):
@@ -371,7 +373,8 @@ FILES = {
     ),
     "joints of both in the file of points": (
         columns_of("time_s,q1,q2,qd1,qd2", joints(STAMPS, Q_STRANGE, QD)),
-        columns_of("time_s,x_m,y_m,z_m,q1,q2", joints(TIMES, POINTS, POINTS[:, :2])),
+        columns_of("note,time_s,x_m,y_m,z_m,q1,q2", joints(TIMES, POINTS, POINTS[:, :2])).strip().replace(
+            "\n", '\n"text of\n# lines",') + "\n,,,,,,\n",
     ),
 }  # fmt: skip
 
@@ -406,6 +409,7 @@ def test_one_family_of_numbered_columns_are_the_joints() -> None:
     for other in ("tau_x1_", "b"):  # torques are none; of two families either may be
         names = ("t", *(f"{other}{n}" for n in range(4)), *(f"c{n}" for n in range(4 * (other == "b"))))
         assert not {"q1", "q2"} & set(understood(names, "joints", own).names)
+    assert understood(("t", "Robot X [mm]", "Robot Y [mm]"), "points", own).commanded == ()
 
 
 def test_stamps_may_be_dates_and_lost_beams_nan_or_zero(tmp_path: Path) -> None:
@@ -450,7 +454,7 @@ BAD_STRANGE = {
         FILES["RTDE"][1],
         r"time_s: .* rename the",
     ),
-    "short row": (FILES["RTDE"][0], "t;x;y;z\n" + "1;2;3;4\n" * 9 + "1;2;3\n", r"points.txt:11: the row has 3 cells"),
+    "short row": (FILES["RTDE"][0], "t;x;y;z\n" + "1;2;3;4\n" * 9 + "1;2;3\n", r"s.txt:11: z: the row has 3 cells"),
     "no time": (
         FILES["RTDE"][0],
         "t;x;y;z\n" + "10:00:01;2;3;4\n" * 9 + "error;2;3;4\n" + ";2;3;4\n",

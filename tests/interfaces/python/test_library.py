@@ -17,6 +17,7 @@ from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.planning.plan import sample_stops
 from cellapp.cell.profile.loader import load_text
 from cellapp.cell.run import RunFile, write_readings_csv
+from cellapp.cell.run.csv_export import table_of_arrays
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.cell.targets.targets import load_targets
 from cellapp.estimation.readings.columns import COLUMNS
@@ -142,6 +143,11 @@ def test_file_data_frame_and_arrays_are_the_same_readings(run: cellapp.Run, fini
             for column in COLUMNS:
                 assert_same(getattr(checked[name], column.name), getattr(arm, column.name))
     pd.testing.assert_frame_equal(cell.readings(arrays).frame(), frame)
+    n = len(arrays["left"]["q"])
+    arrays["left"] |= {"configuration": [np.int64(one) for one in arrays["left"]["configuration"]]}
+    arrays["left"] |= {"split": [*["train"] * (n - 2), float("nan"), "identify"], "smr": None, "station": [1] * n}
+    given = table_of_arrays(run.profile, arrays).cells
+    assert (given["configuration"][0], given["split"][n - 2], given["station"][0]) == ("0", "", "1")
 
 
 def assert_same(one: Any, other: Any) -> None:
