@@ -50,14 +50,16 @@ EXPONENT = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+$")
 """Numbers such as 1e-8 and 2.5e4, which YAML 1.1 reads as texts."""
 
 
-class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
-    """YAML's safe loader that also reads numbers with an exponent.
-
-    On libyaml it is ten times as fast, which some installations of PyYAML lack.
-    """
+class _Loader(yaml.SafeLoader):
+    """YAML's safe loader that also reads numbers with an exponent."""
 
 
-_Loader.add_implicit_resolver("tag:yaml.org,2002:float", EXPONENT, list("-+.0123456789"))
+class _FastLoader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
+    """The same loader on libyaml, ten times as fast; some installations of PyYAML lack it."""
+
+
+for _loader in (_Loader, _FastLoader):
+    _loader.add_implicit_resolver("tag:yaml.org,2002:float", EXPONENT, list("-+.0123456789"))
 
 
 def load_profile(path: Path) -> Profile:
@@ -338,8 +340,7 @@ def _read_arm_type(folders: Sequence[Path], name: str, place: Spot) -> YamlDocum
     path = _first_file(folders, name) or ARM_TYPES.get(name)
     if path is None and (refusal := ARM_TYPES.refusal(name)):
         raise PlacedError(place, refusal)
-    advice = "give a path relative to the profile's file, or the keys here"
-    path = path or _found_file(folders, name, place, advice)
+    path = path or _found_file(folders, name, place, "give a path relative to the profile's file, or the keys here")
     return _parse_yaml(_read_text(path), path)
 
 
@@ -403,7 +404,7 @@ def _found_file(folders: Sequence[Path], name: str, place: Spot, advice: str) ->
 
 def _require_few_levels(text: str) -> None:
     """Raise ``RecursionError`` for too deep nesting: libyaml recurses in C, which would end the process."""
-    loader, level = _Loader(text), 0
+    loader, level = _FastLoader(text), 0
     while loader.check_event():
         event = loader.get_event()
         level += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
@@ -411,27 +412,26 @@ def _require_few_levels(text: str) -> None:
             raise RecursionError
 
 
-def _parse_yaml(text: str, path: Path) -> YamlDocument:
+def _parse_yaml(text: str, path: Path, reader: type[yaml.SafeLoader] = _FastLoader) -> YamlDocument:
+    """Return the plain data of a text; Python's own loader reports errors, libyaml does not name what is wrong."""
     try:
-        _require_few_levels(text)
-        loader = _Loader(text)
+        if reader is _FastLoader:
+            _require_few_levels(text)
+        loader = reader(text)
         node = loader.get_single_node()
         if node is None:
             raise InputError(f"{path}: the file is empty; expected a mapping of keys to values")
         if not isinstance(node, yaml.MappingNode):
             raise InputError(f"{path}:{_line(node)}: expected keys with values at the top, got {described(node)}")
-        document = YamlDocument()
-        document.data = _plain_data(node, (), Spot(str(path), _line(node), ()), document.places, loader)
-        return document
-    except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
-        line = f":{mark.line + 1}" if mark else ""
-        problem = error.problem or error.context
-        raise InputError(f"{path}{line}: not YAML: {problem}; check indentation and quotes") from None
+        places = dict[KeyPath, Spot]()
+        return YamlDocument(_plain_data(node, (), Spot(str(path), _line(node), ()), places, loader), places)
     except yaml.YAMLError as error:
-        position = getattr(error, "position", None)
-        line = f":{text.count(chr(10), 0, position) + 1}" if position is not None else ""
-        raise InputError(f"{path}{line}: not YAML: {getattr(error, 'reason', error)}; remove that character") from None
+        if reader is _FastLoader:
+            return _parse_yaml(text, path, _Loader)
+        if isinstance(error, yaml.MarkedYAMLError) and (at := error.problem_mark):
+            raise InputError(f"{path}:{at.line + 1}: not YAML: {error.problem}; check indentation and quotes") from None
+        line = text.count("\n", 0, getattr(error, "position", None)) + 1
+        raise InputError(f"{path}:{line}: not YAML: {getattr(error, 'reason', error)}; remove that character") from None
     except RecursionError:
         raise InputError(f"{path}: nested too deeply; a file has a handful of levels") from None
 
@@ -442,7 +442,7 @@ def _read_text(path: Path) -> str:
     return file_text(path, "give a profile such as profiles/twin.yaml")
 
 
-def _plain_data(node: yaml.Node, at: KeyPath, place: Spot, places: dict[KeyPath, Spot], loader: _Loader) -> Any:
+def _plain_data(node: yaml.Node, at: KeyPath, place: Spot, places: dict[KeyPath, Spot], loader: yaml.SafeLoader) -> Any:
     """Return a node as dict, list, text, number, bool or None; enter its place and those below it into ``places``."""
     if len(at) > _MOST_LEVELS:
         raise InputError(f"{place}: nested too deeply; a file has a handful of levels")
@@ -460,7 +460,7 @@ def _plain_data(node: yaml.Node, at: KeyPath, place: Spot, places: dict[KeyPath,
 
 
 def _mapping(
-    node: yaml.MappingNode, at: KeyPath, place: Spot, places: dict[KeyPath, Spot], loader: _Loader
+    node: yaml.MappingNode, at: KeyPath, place: Spot, places: dict[KeyPath, Spot], loader: yaml.SafeLoader
 ) -> dict[str, Any]:
     result: dict[str, Any] = {}
     for key_node, value_node in node.value:
@@ -477,7 +477,7 @@ def _mapping(
     return result
 
 
-def _scalar(node: yaml.Node, place: Spot, loader: _Loader) -> str | int | float | bool | None:
+def _scalar(node: yaml.Node, place: Spot, loader: yaml.SafeLoader) -> str | int | float | bool | None:
     kind = node.tag.removeprefix("tag:yaml.org,2002:")
     if kind == "timestamp":
         return str(node.value)
@@ -493,6 +493,8 @@ def _scalar(node: yaml.Node, place: Spot, loader: _Loader) -> str | int | float 
     # an infinite stiffness in the plant's effects means a rigid joint
     if infinite and (value != math.inf or place.inside[:2] != ("plant", "effects")):
         raise InputError(f"{place}: expected a finite number, got {node.value}")
+    if isinstance(value, str) and re.search("[\ud800-\udfff]", value):
+        raise InputError(f"{place}: half a character (an escape such as \\ud800); write the whole character")
     if isinstance(value, int) and abs(value) > _LARGEST_INT:
         raise InputError(f"{place}: {str(node.value)[:20]}... is too large a number")
     return value

@@ -127,7 +127,7 @@ class _TargetReader:
 
     def __init__(self, program: ParsedProgram, where: str, tcp: Six | None) -> None:
         self._program, self._constants = program, Constants(program)
-        self._goals: list[_Goal | None] = []
+        self._goals: list[_Goal] = []
         self._calls = [(statement, call) for statement in program.statements for call in _calls(statement)]
         self._tcps = [(statement, call) for statement, call in self._calls if function_of(call) == "set_tcp"]
         self._given = tcp
@@ -281,10 +281,8 @@ class _TargetReader:
         poses = [(where, self._set_tcp(call, where.path)) for where, call in self._tcps]
         if len({pose for _, pose in poses}) == 1:
             return poses[0][1]
-        if any(where.depth > 0 or where.function != statement.function for where, _ in poses):
-            raise Unresolved(_OPEN_TCP)
         above = [pose for where, pose in poses if where.line < statement.line]
-        if not above:
+        if not above or any(where.depth > 0 or where.function != statement.function for where, _ in poses):
             raise Unresolved(_OPEN_TCP)
         return above[-1]
 
@@ -310,11 +308,10 @@ class _TargetReader:
 
     def with_shared(self, targets: list[ProgramTarget]) -> list[ProgramTarget]:
         """Return the targets with the places of variables that are used for nothing else."""
-        uses = Counter(goal.variables for goal in self._goals if goal is not None)
+        uses = Counter(goal.variables for goal in self._goals)
         shared = []
         for target, goal in zip(targets, self._goals, strict=True):
-            alone = goal is not None and len(goal.variables) == 1
-            if goal is not None and alone and self._names[goal.variables[0]] == uses[goal.variables] + 1:
+            if len(goal.variables) == 1 and self._names[goal.variables[0]] == uses[goal.variables] + 1:
                 target = replace(target, shared=_place(goal.stands))
             shared.append(target)
         return shared
@@ -457,19 +454,20 @@ def _taught(waypoint: Element, of_program: Mapping[str, str], table: Array, publ
     """
     if (kind := waypoint.get("type", "")) not in ("", "Fixed"):
         raise Unresolved(f"a waypoint of type {kind}: its target is known only while the program runs")
-    holder = next((one for one in waypoint.iter() if _HOLDERS.get(one.tag) in one.attrib), waypoint)
+    holders = [waypoint, *(one for one in waypoint.iter() if _HOLDERS.get(one.tag) in one.attrib)]
+    holder = holders[-1]  # the last one counts
     numbers = _numbers(holder.get(_HOLDERS.get(holder.tag, ""), ""))
     if len(numbers) != SIX or not np.isfinite(numbers).all():
         raise Unresolved("the waypoint has no six joint positions")
-    if holder.tag == "position" and "pose" in holder.attrib:
+    if {one.tag: "pose" in one.attrib for one in holders}.get("position"):  # of the last ``position``
         raise Unresolved("an older form of file, with a pose of its own; save it by PolyScope 5")
     own = {one.tag: one.get("value", "") for one in waypoint.iter() if one.tag in _CHAIN}
     rows = _rows(own or of_program, len(table))
     if rows is not None and not of_one_type(rows, published):
         types = _fitting(tuple(map(tuple, rows.tolist())))
         raise Unresolved(f"it was taught on an arm of another type: its rows are those of {types}")
-    status = next((one.get("status", "") for one in waypoint.iter("Kinematics")), "")
-    stated = own and status not in ("NOT_INITIALIZED", "NOT_LINEARIZED")
+    statuses = [one.get("status", "") for one in waypoint.iter("Kinematics")]
+    stated = own and statuses[-1:] not in (["NOT_INITIALIZED"], ["NOT_LINEARIZED"])
     if stated and (rows is None or not same_chain(rows, table, published)):
         expected = "another one than that in arms.*.factory of the profile,"
         if np.array_equal(table, published):

@@ -144,8 +144,12 @@ def test_several_errors_one_a_line_in_the_order_of_the_file(twin: Path) -> None:
         (b"schema: x\n\tname: y\n", 2, "not YAML"),
         (b"schema: x\nname: \x07\n", 2, "not YAML"),
         (b"a: &a [*a]\n", 1, "nested too deeply"),
-        (b"a: *nothing\n", 1, "not YAML"),
-        (b"a: " + b"[" * 2000, None, "nest"),
+        (b"a: *nothing\n", 1, "not YAML: found undefined alias 'nothing'"),
+        (b"a: @b\n", 1, "not YAML: found character '@' that cannot start any token"),
+        (b'a: "\\q"\n', 1, "not YAML: found unknown escape character 'q'"),
+        (b"a:\n- [b: c: d]\n", 2, "not YAML: expected ',' or ']', but got ':'"),
+        (b'a: "\\ud800"\n', 1, "a: half a character"),
+        (b"a: " + b"[" * 2000, None, "nested too deeply"),
         (b"a: &a [x,x,x,x,x,x,x,x,x,x]\n" + b"".join(
             b"%c: &%c [%s]\n" % (letter, letter, b",".join([b"*%c" % (letter - 1)] * 10)) for letter in b"bcdefgh"
         ), None, "more than 300000 values"),

@@ -311,6 +311,7 @@ CALIBRATED = (
     '<alpha value="1.570796327, 0, 0, 1.570796327, -1.570796327, 0"/></Kinematics>'
 )
 PUBLISHED = CALIBRATED.replace("0.001", "0")
+EARLIER = '<JointAngles angles="1, 1, 1, 1, 1, 1"/><Kinematics status="LINEARIZED"/>'
 UNKNOWN = CALIBRATED.replace("LINEARIZED", "NOT_INITIALIZED")
 OF_UR3E = (
     '<Kinematics status="NOT_INITIALIZED"><deltaTheta value="0, 0, 0, 0, 0, 0"/>'
@@ -335,7 +336,7 @@ def waypoint_of_urp(position: str, kind: str = "Fixed") -> str:
     )
 
 
-@pytest.mark.parametrize("position", [ANGLES, ANGLES + PUBLISHED, ANGLES + UNKNOWN])
+@pytest.mark.parametrize("position", [ANGLES, ANGLES + PUBLISHED, ANGLES + UNKNOWN, EARLIER + ANGLES + UNKNOWN])
 def test_fixed_waypoints_are_targets(position: str) -> None:
     (target,) = read_of_urp(waypoint_of_urp(position)).targets
     assert (target.line, target.command, target.kind) == (3, "MoveL P", "joints")
@@ -358,6 +359,8 @@ def test_fixed_waypoints_are_targets(position: str) -> None:
         (waypoint_of_urp(""), 3, "no six joint positions"),
         (waypoint_of_urp('<JointAngles angles="1, 2, nan, 4, 5, 6"/>'), 3, "no six joint positions"),
         ('<Waypoint><position joints="1,2,3,4,5,6" pose="1,2,3,4,5,6"/></Waypoint>', 2, "with a pose of its own"),
+        (waypoint_of_urp(ANGLES + '<position joints="1,2,3,4,5,6" pose=""/>'), 3, "with a pose of its own"),
+        (waypoint_of_urp('<position joints="1,2,3,4,5,6" pose=""/>' + ANGLES), 3, "with a pose of its own"),
         ("<Script>\n<cachedContents>x = 1\nmovel(p[1,2,3,4,5,6])</cachedContents></Script>", 3, "script text"),
     ],
 )

@@ -95,7 +95,7 @@ def test_targets_and_lists_that_are_refused(path: Path) -> None:
     assert_refused(Path(__file__).parent / "approved" / "refused-lists.txt", refused, path.parent)
 
 
-@pytest.mark.parametrize(("open_", "says"), [("[", "3: not YAML: .*nesting"), ("- ", "3: not YAML")])
+@pytest.mark.parametrize(("open_", "says"), [("[", " nested too deeply"), ("- ", "3: not YAML")])
 def test_a_list_that_is_nested_without_end_is_refused(path: Path, open_: str, says: str) -> None:
     with pytest.raises(InputError, match=f"targets.yaml:{says}"):
         loaded(path, "targets: " + open_ * 100_000)
