@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 import threading
 import time
 from collections.abc import Callable
@@ -9,6 +10,8 @@ from concurrent.futures import Future
 from typing import Any, TypeVar
 
 import pytest
+
+from tests.sure import sure
 
 WAIT_S = 20.0
 _LOOK_S = 0.005
@@ -43,3 +46,8 @@ def within(call: Callable[[], T], what: str, wait_s: float = WAIT_S) -> T:
         if future.done():  # the call's own
             raise
         pytest.fail(f"not within {wait_s:g} s: {what}")
+
+
+def next_line(process: subprocess.Popen[str]) -> str:
+    """Return the next line that a process prints."""
+    return within(sure(process.stdout).readline, "the next line of the job").strip()

@@ -49,6 +49,7 @@ from tests.cell.run.small_runs import (
     add_stop,
     alter_file,
     collected_run,
+    files,
     planned_run,
     set_began,
     spoil_cut,
@@ -67,10 +68,6 @@ NEVER_WAITS_S = 5.0
 def resumable(folder: Path | None = None) -> RunSummary | None:
     """The newest run that can be resumed."""
     return next((run for run in list_runs(folder).runs if run.resumable), None)
-
-
-def files(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 def names(result: RunsResult) -> list[str]:

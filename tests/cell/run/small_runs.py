@@ -226,3 +226,8 @@ def read_readings_csv(
 def import_csv(profile: Profile, csv: Path, folder: Path, *, in_order: bool = False) -> RunFile:
     """A new run of the readings in a file."""
     return RunFile.create(folder, profile, readings_from_csv(profile, csv, in_order=in_order))
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    """All files below a folder, by their paths in it."""
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}

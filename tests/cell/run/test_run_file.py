@@ -32,7 +32,7 @@ from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Halt
-from tests.cell.run.small_runs import SPOILED, older_reading_table, two_arms
+from tests.cell.run.small_runs import SPOILED, files, older_reading_table, two_arms
 from tests.sure import sure
 from tests.twin import small_twin
 from tests.waiting import WAIT_S, within
@@ -51,10 +51,6 @@ def folder(tmp_path: Path) -> Path:
 def reading(seed: int, joints: int = 2) -> Readings:
     rng = np.random.default_rng(seed)
     return Readings.one(q=rng.normal(size=joints), p_M=rng.normal(size=3), time_s=float(seed))
-
-
-def files(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 def test_a_run_keeps_its_profile_and_is_one_file_when_closed(profile: Profile, folder: Path) -> None:

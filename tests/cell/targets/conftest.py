@@ -12,6 +12,8 @@ import pytest
 
 from cellapp.cell.driving.cell import Cell, build_plant, open_cell
 from cellapp.cell.run import RunFile
+from cellapp.cell.targets.compensate import compensate
+from cellapp.cell.targets.prediction import Command
 from cellapp.commands.stages import CALIBRATION_FILE
 from cellapp.ground.profile import Profile
 from cellapp.robot.model import CellModel
@@ -28,6 +30,12 @@ def run(finished_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterato
 @pytest.fixture(scope="session")
 def model(run: RunFile) -> CellModel:
     return CellModel.load(run.folder / CALIBRATION_FILE)
+
+
+@pytest.fixture(scope="module")
+def commands(run: RunFile, model: CellModel, request: pytest.FixtureRequest) -> tuple[Command, ...]:
+    """The commands of the module's ``TARGETS``."""
+    return compensate(run.profile, model, request.module.TARGETS)
 
 
 @pytest.fixture

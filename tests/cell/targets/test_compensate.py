@@ -36,11 +36,6 @@ def term(slug: str, **values: float) -> EffectTerm:
 COMPLIANCE = term("joint_compliance", compliance2=1.0 / 6e4, compliance3=1.0 / 3e4, compliance5=1.0 / 1e4)
 
 
-@pytest.fixture(scope="module")
-def commands(run: RunFile, model: CellModel) -> tuple[Command, ...]:
-    return compensate(run.profile, model, TARGETS)
-
-
 def with_effects(model: CellModel, name: str, *terms: EffectTerm) -> ArmModel:
     return dataclasses.replace(model.arms[name], effects=terms)
 

@@ -10,18 +10,14 @@ import pytest
 
 from cellapp.cell.targets.prediction import length_bounds, outside_notes, predicted_verdict, predictions, spread_of
 from cellapp.cell.targets.ranges import ConditionRanges, MeasuringNoise, unknown_conditions
-from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
+from cellapp.robot.effects import EFFECTS, MeasurementConditions
 from cellapp.robot.model import ArmModel, CellModel
 from cellapp.robot.model.model import PosteriorSamples, ReadingsNoise
+from tests.arms import effect_term
 from tests.sure import sure
 
 HOME = np.array([0.0, -1.2, 0.8, -1.4, 0.9, 0.0])
 NOTHING = MeasurementConditions()
-
-
-def term(slug: str, **values: float) -> EffectTerm:
-    size = np.array(list(values.values()))
-    return EffectTerm(slug, tuple(values), size, np.zeros(len(size)), ("",) * len(size), EFFECTS[slug].law())
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +87,7 @@ def test_payload_and_temperature(
 ) -> None:
     effect = EFFECTS[slug]
     law = effect.law() if slug != "thermal_growth" else effect.law("air", {"mean_c": 21.0})
-    one = replace(term(slug, **values), law=law)
+    one = effect_term(slug, values, "", law=law)
     with_effect = replace(arm, effects=(one,))
     q = configurations(5)
     (found,) = unknown_conditions(with_effect, q, NOTHING, ranges)

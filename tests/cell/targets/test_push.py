@@ -45,11 +45,6 @@ TARGETS = (*ALL[:6], *ALL[20:26], *ALL[6:8])
 FAR = Target(name="far", arm="left", position=(9.0, 0.0, 0.0), rpy=(0.0, 0.0, 0.0))
 
 
-@pytest.fixture(scope="module")
-def commands(run: RunFile, model: CellModel) -> tuple[Command, ...]:
-    return compensate(run.profile, model, TARGETS)
-
-
 def clearance_of(cell: Cell) -> Clearance:
     """Smallest distances during the motions of a watched cell."""
     clearance = sure(plant_of(cell).clearance)
@@ -195,8 +190,6 @@ def test_results_of_earlier_versions_are_read(run: RunFile, commands: tuple[Comm
 
 # -- Pushing in cells that nobody tried: one arm, three arms, seven joints, each with a model that is exact ------------
 
-TARGETS_OF_PUSH_CELLS = load_targets(PROFILES / "targets" / "twin.yaml", small_twin())
-
 
 def exact(profile: Profile) -> tuple[Profile, CellModel]:
     """The profile's cell without any error of its geometry, and the nominal model of it."""
@@ -209,7 +202,7 @@ def exact(profile: Profile) -> tuple[Profile, CellModel]:
 def test_a_third_arm_waits_at_home_while_two_hold_a_target(run: RunFile) -> None:
     profile, model = exact(three_arms())
     pairs = pair_targets(run, model, [0, 5])
-    third = TARGETS_OF_PUSH_CELLS[20].model_copy(update={"arm": "third", "name": "third"})
+    third = ALL[20].model_copy(update={"arm": "third", "name": "third"})
     found = push(profile, model, compensate(profile, model, (pairs[0], third, pairs[1])), verify=True)
     assert [pair.arms for pair in found.pairs] == [("left", "right")] * 2
     assert [pair.note for pair in found.pairs] == ["", ""]

@@ -44,11 +44,6 @@ ALL = load_targets(PROFILES / "targets" / "twin.yaml", small_twin())
 TARGETS = (*ALL[:4], *ALL[20:22])
 
 
-@pytest.fixture(scope="module")
-def commands(run: RunFile, model: CellModel) -> tuple[Command, ...]:
-    return compensate(run.profile, model, TARGETS)
-
-
 def nothing_moved(cells: list[Any], run: RunFile) -> bool:
     """Whether the arms of the only cell that was opened still stand where a simulated cell begins: at home."""
     (cell,) = cells

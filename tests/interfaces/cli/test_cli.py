@@ -24,7 +24,7 @@ from cellapp.cell.planning.planned_stops import straight_stops, write_planned_st
 from cellapp.cell.run import RunFile
 from drivers.findings import Finding
 from tests.approved import assert_approved, commands_of, without_digits
-from tests.cell.run.small_runs import alter_file
+from tests.cell.run.small_runs import alter_file, files
 from tests.interfaces.cli.conftest import Ended, exit_code, one_sentence
 from tests.loopback import own_address
 from tests.sure import sure
@@ -76,10 +76,6 @@ def test_no_warning_of_a_library_reaches_a_user() -> None:
     env = {key: value for key, value in os.environ.items() if key != "PYTHONWARNINGS"} | {"PYTHONPATH": str(ROOT)}
     ended = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=True)
     assert ended.stderr == ""
-
-
-def bytes_below(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 @pytest.fixture(scope="session")
@@ -286,7 +282,7 @@ def test_a_transcript_says_what_was_approved(
     for command in commands_of(path):
         shown.append(f"$ {command}")
         what, *words = shlex.split(command)
-        before = bytes_below(work)
+        before = files(work)
         match what:
             case "spoil":
                 SPOILS[words[0]](work)
@@ -310,7 +306,7 @@ def test_a_transcript_says_what_was_approved(
                     shown += [*ended.out.splitlines(), *(f"! {line}" for line in ended.err.splitlines() if line)]
                 shown += [f"exit code {ended.code}"] if ended.code else []
                 assert what in ("cellapp", "does") or (ended.code > 0) == (what == "refused"), command
-                assert what in ("cellapp", "does") or bytes_below(work) == before, command
+                assert what in ("cellapp", "does") or files(work) == before, command
     exact = path.stem.startswith("refused")
     text = re.sub(r"/\S+/made\d+/", "MADE/", "\n".join(shown).replace(str(work), "HERE"))
     assert_approved(path, text, str if exact else bare)
@@ -339,9 +335,9 @@ def test_a_controller_that_is_not_there_is_named_and_nothing_is_stored(work: Pat
     edit(work / "ur10-ur5.yaml", "192.168.0.10", own_address(49))
     edit(work / "ur10-ur5.yaml", "192.168.0.11", own_address(50))
     assert call("plan", "ur10-ur5.yaml", "--run", "real").code == 0
-    before = bytes_below(work)
+    before = files(work)
     one_sentence(call("collect", "real"), f"arm left: {own_address(49)}:29999: no connection", code=3)
-    assert bytes_below(work) == before
+    assert files(work) == before
 
 
 def test_real_arms_move_only_where_it_is_allowed_and_the_doctor_is_green_now(
@@ -351,10 +347,10 @@ def test_real_arms_move_only_where_it_is_allowed_and_the_doctor_is_green_now(
     monkeypatch.setattr("cellapp.commands.confirm.examine", lambda profile: failed)
     edit(work / "ur10-ur5.yaml", "stops: 400", "stops: 3\n  method: random")
     assert call("plan", "ur10-ur5.yaml", "--run", "real").code == 0
-    before = bytes_below(work)
+    before = files(work)
     one_sentence(call("collect", "real"), "this moves real arms (left, right)", "--allow-motion")
     one_sentence(call("collect", "real", "--allow-motion"), "arm left: link: no answer", "nothing was moved", code=1)
-    assert bytes_below(work) == before
+    assert files(work) == before
 
 
 # -- processes --------------------------------------------------------------------------------------------------------

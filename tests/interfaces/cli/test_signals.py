@@ -13,8 +13,7 @@ from pathlib import Path
 import pytest
 
 from tests.latency import attempts
-from tests.sure import sure
-from tests.waiting import WAIT_S, within
+from tests.waiting import WAIT_S, next_line
 
 ROOT = Path(__file__).parents[3]
 BAR_S = 0.1
@@ -44,10 +43,6 @@ def busy(load: str) -> Iterator[subprocess.Popen[str]]:
         if process.poll() is None:
             process.kill()
         process.communicate(timeout=WAIT_S)
-
-
-def next_line(process: subprocess.Popen[str]) -> str:
-    return within(sure(process.stdout).readline, "the next line of the job").strip()
 
 
 def brake_after(process: subprocess.Popen[str], number: int) -> tuple[str, float]:

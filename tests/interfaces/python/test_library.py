@@ -30,11 +30,6 @@ TARGETS = PROFILES / "targets" / "twin.yaml"
 
 
 @pytest.fixture(scope="module")
-def run(finished_run: Path) -> cellapp.Run:
-    return cellapp.open_run(finished_run)
-
-
-@pytest.fixture(scope="module")
 def fit(run: cellapp.Run, tmp_path_factory: pytest.TempPathFactory) -> Iterator[cellapp.Calibration]:
     """The cell of the finished run, calibrated by the library in a folder in which nothing appears."""
     empty = tmp_path_factory.mktemp("empty")

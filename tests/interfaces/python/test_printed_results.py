@@ -11,11 +11,6 @@ import cellapp
 
 
 @pytest.fixture(scope="module")
-def run(finished_run: Path) -> cellapp.Run:
-    return cellapp.open_run(finished_run)
-
-
-@pytest.fixture(scope="module")
 def results(run: cellapp.Run) -> dict[str, object]:
     target = {"name": "<A & B>", "arm": "left", "position": [0.6, 0.2, 0.4]}
     return {

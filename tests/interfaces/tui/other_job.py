@@ -14,14 +14,9 @@ from pathlib import Path
 from cellapp.cell.driving.requests import taking_requests
 from cellapp.ground.control import JobControl
 from cellapp.ground.progress import Cancelled, MotionBegun, StateChange
+from tests.interfaces.cli.busy_job import say
 
 Q = {"left": (0.1, 0.2), "right": (0.0, 0.0, 0.0)}
-
-
-def say(line: str) -> None:
-    """Write a line; whole, from any thread."""
-    sys.stdout.write(f"{line}\n")
-    sys.stdout.flush()
 
 
 def main() -> int:

@@ -24,7 +24,7 @@ from tests.cell.run.small_runs import collected_run
 from tests.interfaces.tui.pilot import ended, log_text, opened, running, shown_text, until
 from tests.interfaces.tui.terminal import ROOT
 from tests.sure import sure
-from tests.waiting import WAIT_S, within
+from tests.waiting import WAIT_S, next_line
 
 pytestmark = pytest.mark.waits
 
@@ -47,15 +47,11 @@ def other_job(folder: Path, *words: str) -> Iterator[subprocess.Popen[str]]:
         cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
     )  # fmt: skip
     try:
-        assert said(process) == "ready"
+        assert next_line(process) == "ready"
         yield process
     finally:
         process.kill()
         process.communicate(timeout=WAIT_S)
-
-
-def said(process: subprocess.Popen[str]) -> str:
-    return within(sure(process.stdout).readline, "the next line of the job").strip()
 
 
 async def watched(pilot: Pilot[None], app: CellApp, starts: bool = True) -> None:
@@ -82,11 +78,11 @@ async def test_a_run_in_which_another_process_works_is_watched_and_commanded() -
             for key, state in (("p", "paused"), ("c", "running"), ("escape", "stopped"), ("c", "running")):
                 await pilot.press(key)
                 await until(pilot, lambda: app.record.state == state, f"{state} after {key}")  # noqa: B023
-            assert said(job).startswith("brake stop")
+            assert next_line(job).startswith("brake stop")
             ask_running_job(RUN, "pause")  # somebody else
             await until(pilot, lambda: app.record.state == "paused", "what others ask")
             await pilot.press("x")
-            assert said(job).startswith("brake abort")
+            assert next_line(job).startswith("brake abort")
             await ended(pilot, app)
             assert job.wait(WAIT_S) == 4
             assert app.message.startswith("Aborted; ")
@@ -132,10 +128,10 @@ async def test_what_is_not_watched_any_more_goes_on() -> None:
         assert app.return_code == 0
         assert job.poll() is None
         assert "all arms brake" in ask_running_job(RUN, "stop"), "it goes on, and was not stopped before"
-        assert said(job).startswith("brake stop")
+        assert next_line(job).startswith("brake stop")
 
 
-async def test_a_job_that_hangs_is_said() -> None:
+async def test_a_job_that_hangs_is_next_line() -> None:
     with other_job(RUN) as job:
         async with running(size=(120, 40)) as (pilot, app):
             await watched(pilot, app)
@@ -144,7 +140,7 @@ async def test_a_job_that_hangs_is_said() -> None:
             await pilot.press("escape")
             await asyncio.sleep(0.1)
             job.send_signal(signal.SIGCONT)
-            assert said(job).startswith("brake stop"), "it waited on the way"
+            assert next_line(job).startswith("brake stop"), "it waited on the way"
 
 
 async def test_a_job_on_another_computer_is_named_and_nothing_is_begun(tmp_path: Path) -> None:
