@@ -90,6 +90,11 @@ class DelayedClient:
         self.playing = False
         return False
 
+    def break_link(self, *_: object) -> bool:
+        """A command during which the link breaks: the client raises what its socket says."""
+        vars(self)["isConnected"] = lambda: False
+        raise RuntimeError("Operation canceled")
+
 
 def delayed_worker(monkeypatch: pytest.MonkeyPatch) -> tuple[DelayedClient, Monitor]:
     """Return the client, which is in a motion from HOME to AWAY, and what runs its worker."""

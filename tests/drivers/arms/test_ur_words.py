@@ -211,6 +211,8 @@ def test_a_motion_that_takes_too_long(delayed: Delayed) -> None:
 
 ENDS: dict[str, tuple[Callable[[DelayedClient], object], str, str]] = {
     "broken": (lambda client: setattr(client, "isConnected", lambda: False), "link", "the RTDE link broke"),
+    "broken on a path": (lambda client: setattr(client, "servoJ", client.break_link), "link", "the RTDE link broke"),
+    "broken in a motion": (lambda client: setattr(client, "moveJ", client.break_link), "link", "the RTDE link broke"),
     "not a number": (lambda client: setattr(client, "q", [float("nan")] * 6), "nonsense", "that are no numbers"),
     "malformed": (lambda client: setattr(client, "safety", 0), "nonsense", "its state has no safety mode"),
     "five joints": (lambda client: setattr(client, "q", [0.0] * 5), "link", "not one of six joints"),
@@ -221,13 +223,15 @@ ENDS: dict[str, tuple[Callable[[DelayedClient], object], str, str]] = {
 def test_what_ends_the_worker(delayed: Delayed, monkeypatch: pytest.MonkeyPatch, cause: str) -> None:
     client, monitor = delayed
     monkeypatch.setattr(os, "_exit", sys.exit)
+    client.q = list(AWAY)
+    monitor(0.5)
     act, kind, words = ENDS[cause]
     act(client)
     with pytest.raises(SystemExit):
-        monitor(1.0)
+        monitor(1.0, MOVE if "motion" in cause else {**PATH, "q": [list(AWAY)] * 60})
     monkeypatch.setattr(client.supervisor, "stream", lambda: None)
     monkeypatch.setattr(client.supervisor, "monitor", lambda: None)
-    told, lost = monitor(0.01)
+    told, lost = (answer for answer in monitor(0.01) if "ok" not in answer)
     assert (told["fault"], lost["kind"], lost["lost"]) == (kind, kind, told["text"])
     assert words in told["text"]
     assert_well_said(said(told))
