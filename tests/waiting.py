@@ -13,7 +13,7 @@ import pytest
 
 from tests.sure import sure
 
-WAIT_S = 20.0
+WAIT_S = 60.0
 _LOOK_S = 0.005
 
 T = TypeVar("T")

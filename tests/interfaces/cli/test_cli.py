@@ -32,7 +32,7 @@ from tests.twin import PROFILES, write_profile
 from tests.waiting import WAIT_S, until, within
 
 ROOT = Path(__file__).parents[3]
-RUN_S = 120.0
+RUN_S = 240.0
 """What a whole command may compute."""
 DRAWN = "  stops: 30\n  method: random"
 """To design stops takes seconds; what loads for it and what it prints is tested with a few."""
