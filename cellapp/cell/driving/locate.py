@@ -17,7 +17,8 @@ from cellapp.cell.driving.supervision import moving_cell
 from cellapp.cell.driving.target_visit import drive_to
 from cellapp.cell.safety.gate import refuse_motion, visible
 from cellapp.cell.targets.invert import clear_with_others
-from cellapp.estimation.calibration.station_location import ArmPoints, StationFit, fit_station
+from cellapp.estimation.calibration.station_location import StationFit, fit_station
+from cellapp.estimation.readings import Readings
 from cellapp.ground.control import JobControl
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import HardwareError
@@ -125,7 +126,7 @@ class LocatedStation:
     """Points and the best fitting station."""
 
     found: tuple[FoundPoint, ...]
-    points: Mapping[str, ArmPoints]
+    points: Mapping[str, Readings]
     fit: StationFit
     notes: tuple[str, ...]
 

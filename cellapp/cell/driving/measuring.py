@@ -14,16 +14,18 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import product
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.driving.motion import Mover, PointAtRest, Vector
+from cellapp.cell.driving.motion import Mover, PointAtRest, Vector, reading_of
 from cellapp.cell.driving.supervision import CellSupervisor
 from cellapp.cell.run import ReferenceRow, RunFile
-from cellapp.estimation.calibration.station_location import ArmPoints, RoughStation, fit_station, predicted_points
+from cellapp.estimation.calibration.station_location import RoughStation, beside, fit_station
+from cellapp.estimation.readings import Readings
+from cellapp.estimation.readings.readings import joined
 from cellapp.ground.errors import HardwareError
+from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import ReferenceReport, Suspicion
 from cellapp.robot.effects import MeasurementConditions
@@ -257,7 +259,7 @@ class FoundPoint:
     """Measured point with its arm.
 
     ``found_off_m`` is its distance from the prediction [m]. ``point`` is the mean of the measurements, whose positions
-    are ``repeats_M`` (k, 3) [m]. ``others`` are the joint positions of the other arms at that time, name -> (N,) [rad].
+    are ``repeats_M`` (k, 3) [m]. ``other_q`` is as in ``Mover.other_q``, at that time.
     """
 
     arm: str
@@ -265,7 +267,7 @@ class FoundPoint:
     repeats_M: Array
     conditions: MeasurementConditions
     found_off_m: float
-    others: Mapping[str, Vector] = field(default_factory=dict)
+    other_q: Array | None
 
     @property
     def q(self) -> Vector:
@@ -298,8 +300,8 @@ class SmrSearch:
         """Station (4, 4) as estimated from the points so far."""
         return self._so_far[0]
 
-    def points(self) -> dict[str, ArmPoints]:
-        """Return the points by arm, in the format of a fit."""
+    def points(self) -> dict[str, Readings]:
+        """Return the points by arm, as a fit takes them."""
         return points_of(self.found)
 
     def measure(self, name: str, state: ArmState) -> FoundPoint | str:
@@ -324,10 +326,8 @@ class SmrSearch:
 
     def _search(self, name: str, state: ArmState) -> FoundPoint | str:
         conditions = self.mover.conditions(name, state, 0.5 * self.mover.profile.tracker.averaging)
-        others = {other: q for other, q in self.mover.positions().items() if other != name}
-        # predict the SMR of the arm with the station so far, (3,) [m]
-        own = ArmPoints(state.q[None], np.zeros((1, 3)), np.zeros((1, 3, 3)), conditions, _only(others))
-        expected = np.asarray(predicted_points(relocated(self.model, self.T_new_old), {name: own})[name][0])
+        model, other_q = relocated(self.model, self.T_new_old), self.mover.other_q(name)
+        expected = model.arms[name].predict(state.q[None], beside(model, name, conditions, other_q))[0]
         reach_m, problem, at = self._reach_m(expected), "", (name, state.q)
         for offset in lattice(reach_m):
             self.mover.hold()
@@ -340,34 +340,20 @@ class SmrSearch:
                 continue
             off_m = float(np.linalg.norm(point.p_M - expected))
             repeats_M = np.array([one.p_M for one in points])
-            return FoundPoint(name, mean_point(points), repeats_M, conditions, off_m, others)
+            return FoundPoint(name, mean_point(points), repeats_M, conditions, off_m, other_q)
         return f"arm {name}: no SMR within {reach_m * 1e3:.0f} mm of its prediction: {problem}"
 
 
-def points_of(found: Sequence[FoundPoint]) -> dict[str, ArmPoints]:
-    """Return the points by arm, in the format of a fit."""
-    points: dict[str, ArmPoints] = {}
-    by_chance = share_of_chance(found)
-    for name in dict.fromkeys(one.arm for one in found):
-        own = [one for one in found if one.arm == name]
-        beside = [_only(one.others) for one in own]
-        known = [one for one in beside if one is not None]
-        points[name] = ArmPoints(
-            q=np.array([one.q for one in own]),
-            measured_M=np.array([one.point.p_M for one in own]),
-            covariance_M=covariances(own, by_chance),
-            conditions=_joined([one.conditions for one in own]),
-            other=(known[0][0], np.concatenate([q for _, q in known])) if len(known) == len(own) else None,
-        )
+def points_of(found: Sequence[FoundPoint]) -> dict[str, Readings]:
+    """Return the points by arm, as a fit takes them."""
+    by_chance, points = share_of_chance(found), {}
+    for name, own in grouped((one.arm, one) for one in found).items():
+        rows = joined([reading_of(one.point, one.conditions, other_q=one.other_q) for one in own])
+        points[name] = replace(rows, covariance_M=covariances(own, by_chance))
     return points
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
-
-
-def _only(others: Mapping[str, Vector]) -> tuple[str, Array] | None:
-    """Return the other arm of a cell of two, with its joint positions (1, K) [rad]; None in other cells."""
-    return next(((name, q[None]) for name, q in others.items()), None) if len(others) == 1 else None
 
 
 def share_of_chance(found: Sequence[FoundPoint]) -> float:
@@ -393,15 +379,3 @@ def lattice(reach_m: float) -> list[Vector]:
     distance = np.linalg.norm(steps, axis=1)
     order = np.argsort(distance, kind="stable")
     return [steps[row] for row in order.tolist() if distance[row] <= reach_m]
-
-
-def _joined(rows: list[MeasurementConditions]) -> MeasurementConditions:
-    """Concatenate the conditions of single points; a condition that one of them lacks is unknown for all."""
-
-    def joined(values: Sequence[Array | NDArray[np.int8] | None]) -> Array | None:
-        known = [np.asarray(value, dtype=np.float64) for value in values if value is not None]
-        return np.concatenate(known) if len(known) == len(values) else None
-
-    names = ("approach", "step", "dwell_s", "payload_kg", "joints_c")
-    known: dict[str, Any] = {name: joined([getattr(row, name) for row in rows]) for name in names}
-    return MeasurementConditions(**known)

@@ -193,8 +193,8 @@ def _checked_stop(model: CellModel, stop: MeasuredStop) -> CheckedStop:
         points={
             name: CheckedPoint(
                 q=tuple(own.q[0].tolist()),
-                measured_M=xyz_of(own.measured_M[0]),
-                error_mm=float(np.linalg.norm(own.measured_M[0] - expected[name][0])) * 1e3,
+                measured_M=xyz_of(own.p_M[0]),
+                error_mm=float(np.linalg.norm(own.p_M[0] - expected[name][0])) * 1e3,
                 error_mrad=rotated[name],
             )
             for name, own in points.items()

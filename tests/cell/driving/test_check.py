@@ -122,8 +122,7 @@ def test_where_the_gate_refuses_both_each_arm_goes_alone(task: Task) -> None:
     numbers = [next(iter(stop.values())).configuration[0] for stop in test.stops]
     assert numbers == [0, 1, 2, 3], "they did not stand there together"
     homes = home_positions(task.profile)
-    beside = found.stops[0].found["left"].others["right"]
-    np.testing.assert_allclose(beside, homes["right"], atol=1e-6)
+    np.testing.assert_allclose(np.array(found.stops[0].found["left"].other_q), [homes["right"]], atol=1e-6)
 
 
 def test_an_arm_that_cannot_go_anywhere_is_noted(task: Task) -> None:
@@ -150,7 +149,7 @@ def test_a_lost_smr_is_given_up_after_some_stops_and_the_other_arm_goes_on(task:
     assert [list(stop) for stop in test.stops] == [["left", "right"]] * 2 + [["left"]] * 4
     assert sum("no SMR within" in note for note in found.notes) == 3
     # arms at home from then on
-    assert found.stops[-1].found["left"].others["right"] == pytest.approx(home_positions(task.profile)["right"])
+    assert found.stops[-1].found["left"].other_q == pytest.approx(home_positions(task.profile)["right"][None])
 
 
 def test_readings_without_common_stops_are_paired(task: Task, finished_run: Path) -> None:
