@@ -32,15 +32,21 @@ class TrueTarget:
     """An SMR at the current time: its arm, position (3,) [m] in M, and why the tracker cannot see it ("" if it can).
 
     ``R_M_S`` (3, 3) is the orientation of a 6-D probe, which is measured with the standard deviation ``sigma_rad``
-    about each axis.
+    about each axis. An SMR in a ``nest`` belongs to no arm.
     """
 
-    arm: str
+    arm: str | None
     p_M: Array
     hidden: str
-    moving: bool
+    moving: bool = False
     R_M_S: Array | None = None
     sigma_rad: float = 0.0
+    nest: str = ""
+
+    @property
+    def owner(self) -> str:
+        """Its arm or nest, in words."""
+        return f"nest {self.nest}" if self.arm is None else f"arm {self.arm}"
 
 
 @dataclass(frozen=True, eq=False)
