@@ -146,11 +146,9 @@ def gross_errors_of_geometry(
     return its.readings_with(gross_errors(p_M - smr_positions(found.geometry, q, R_M_S), angular))
 
 
-def gross_errors_of_model(model: ArmModel, readings: Readings, conditions: MeasurementConditions) -> NDArray[np.bool_]:
+def gross_errors_of_model(model: ArmModel, its: Quantities) -> NDArray[np.bool_]:
     """Return a mask (n,) of the readings whose position or orientation is a gross error by a model."""
-    its = measured_quantities(readings, conditions)
-    computed = model.predict(its.readings.q, conditions=its.conditions)
-    return its.readings_with(gross_errors(its.readings.p_M - computed, its.angular))
+    return its.readings_with(gross_errors(its.residuals(model), its.angular))
 
 
 def without(readings: Readings, configurations: Sequence[int]) -> Readings:
@@ -705,8 +703,7 @@ def train_arm(profile: Profile, arm: ArmCalibration, readings: Readings, steps: 
     rotations_net = rotation_network(profile, arm.model, measured_quantities(taught), rotations)
     arm = replace(arm, model=replace(arm.model, network=replace(arm.model.network, rotation=rotations_net)))
     its = measured_quantities(held_out)
-    errors = evaluate_quantities(its, arm.model.predict(its.readings.q, conditions=its.conditions))
-    return replace(arm, validate={**arm.validate, "network": errors})
+    return replace(arm, validate={**arm.validate, "network": evaluate_quantities(its, its.predicted(arm.model))})
 
 
 def rotation_network(profile: Profile, model: ArmModel, taught: Quantities, steps: JobSteps) -> ResidualNetwork | None:
@@ -716,8 +713,8 @@ def rotation_network(profile: Profile, model: ArmModel, taught: Quantities, step
     """
     if taught.angular is None or np.count_nonzero(taught.angular) < 2 * profile.network.folds:
         return None
-    some, conditions = taught.readings.take(taught.angular), taught.conditions.take(taught.angular)
-    return network_of_residuals(profile, model, some, -model.predict(some.q, conditions=conditions), steps)
+    some = taught.take(taught.angular)
+    return network_of_residuals(profile, model, some.readings, -some.predicted(model), steps)
 
 
 def network_of_residuals(

@@ -228,6 +228,11 @@ def stated_uncertainty(readings: Readings) -> _Floats | None:
     return None
 
 
+def covariances_of(sigma: Array) -> Array:
+    """Return covariances (n, 3, 3) [m^2]: ``sigma`` itself, or of standard uncertainties (n,) [m]."""
+    return sigma if sigma.ndim == 3 else sigma[:, None, None] ** 2 * np.eye(3)
+
+
 def coordinate_uncertainty(readings: Readings) -> _Floats | None:
     """Return the standard uncertainty (n,) [m] of a coordinate by ``stated_uncertainty``; rms of a covariance's three.
 
@@ -463,7 +468,7 @@ def _with_poses(
 def _covariances(readings: Readings) -> Array | None:
     """Return a copy of the stated covariances (n, 3, 3) [m^2] of all readings; None if one has none."""
     stated = stated_uncertainty(readings)
-    return None if stated is None else stated.copy() if stated.ndim == 3 else stated[:, None, None] ** 2 * np.eye(3)
+    return None if stated is None else covariances_of(stated).copy()
 
 
 # -- Rows that no split may divide ------------------------------------------------------------------------------------
