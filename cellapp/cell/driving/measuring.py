@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import product
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -122,6 +123,16 @@ def nests_in_M(profile: Profile) -> dict[str, NDArray[np.float64]]:
     return {name: (np.array(position) - T_C_M[:3, 3]) @ T_C_M[:3, :3] for name, position in nests.items()}
 
 
+class Reference(NamedTuple):
+    """What is measured again and again during a run: the SMR of an arm at the reference stop, or one in a nest."""
+
+    kind: Literal["arm", "nest"]
+    name: str
+
+    def __str__(self) -> str:
+        return f"{self.kind} {self.name}"
+
+
 @dataclass
 class References:
     """Measures the references of one session and compares them with their first measurements in the run.
@@ -135,10 +146,10 @@ class References:
     suspect: Callable[[Suspicion], None]
     accept_drift: bool = False
     carried: Mapping[str, str] = field(default_factory=dict)
-    """Reference -> what its arm carries, in words, if that is not the first load. Such references are compared
-    separately: an arm that sags more under another load does not drift."""
+    """Arm -> what it carries, in words, if that is not the first load. Its references are then compared separately: an
+    arm that sags more under another load does not drift."""
     _first_M: dict[str, Vector] = field(default_factory=dict)
-    _last_M: dict[str, Vector] = field(default_factory=dict)
+    _last_M: dict[Reference, Vector] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not self.accept_drift:
@@ -187,53 +198,50 @@ class References:
         self._last_M |= now_M
         drift_mm = {}
         for reference, point in points.items():
-            name = reference + self.carried.get(reference, "")
+            name = str(reference) + (self.carried.get(reference.name, "") if reference.kind == "arm" else "")
             first_M = self._first_M.setdefault(name, point.p_M)
             drift_mm[name] = float(np.linalg.norm(point.p_M - first_M)) * 1e3
             row = ReferenceRow(name, stops_done, point.time_s - began_s, point.p_M, self.session)
             self.run.add_reference(row)
         return ReferenceReport(drift_mm, limit_m * 1e3)
 
-    def _points(self, states: Mapping[str, Vector]) -> dict[str, PointAtRest]:
+    def _points(self, states: Mapping[str, Vector]) -> dict[Reference, PointAtRest]:
         """Measure the arms at ``states`` and the nests; record those that cannot be measured."""
-        measure: dict[str, Measure] = {
-            f"arm {name}": partial(measured_at_arm, self.supervisor, name, q) for name, q in states.items()
+        measure: dict[Reference, Measure] = {
+            Reference("arm", name): partial(measured_at_arm, self.supervisor, name, q) for name, q in states.items()
         }
         for name, expected_M in nests_in_M(self.run.profile).items():
-            at_nest = partial(self.supervisor.mover.measure_at, expected_M, f"nest {name}")
-            measure[f"nest {name}"] = partial(_precise, self.supervisor, f"nest {name}", at_nest)
-        points: dict[str, PointAtRest] = {}
-        for name, at_reference in measure.items():
+            nest = Reference("nest", name)
+            at_nest = partial(self.supervisor.mover.measure_at, expected_M, str(nest))
+            measure[nest] = partial(_precise, self.supervisor, str(nest), at_nest)
+        points: dict[Reference, PointAtRest] = {}
+        for reference, at_reference in measure.items():
             try:
-                points[name] = at_reference()
-            except (TargetLost, WrongTarget, Unstable) as error:
-                self.supervisor.record("reference", f"{name}: not measured: {error}")
+                points[reference] = at_reference()
+            except _MISSED as error:
+                self.supervisor.record("reference", f"{reference}: not measured: {error}")
         return points
 
 
-def reference_jumps(before_M: Mapping[str, Array], now_M: Mapping[str, Array], limit_m: float) -> tuple[Suspicion, ...]:
-    """Return suspicions from the references' positions (3,) [m] the last time and now: by name, "arm NAME" or nests."""
-    moved = {name: float(np.linalg.norm(p_M - before_M[name])) for name, p_M in now_M.items() if name in before_M}
-    jumps = {name: size for name, size in moved.items() if size > limit_m}
-    if jumps and len(jumps) == len(moved) and (len(jumps) > 1 or not any(map(_is_arm, jumps))):
+def reference_jumps(
+    before_M: Mapping[Reference, Array], now_M: Mapping[Reference, Array], limit_m: float
+) -> tuple[Suspicion, ...]:
+    """Return suspicions from the references' positions (3,) [m] the last time and now."""
+    moved = {one: float(np.linalg.norm(p_M - before_M[one])) for one, p_M in now_M.items() if one in before_M}
+    jumps = {one: size for one, size in moved.items() if size > limit_m}
+    if jumps and len(jumps) == len(moved) and (len(jumps) > 1 or not any(one.kind == "arm" for one in jumps)):
         size = f"{max(jumps.values()) * 1e3:.2f} mm"
         text = f"all references moved by {size} since the last time: was the tracker touched?"
         return (Suspicion("tracker moved", text),)
-    return tuple(_jump(name, size) for name, size in jumps.items())
+    return tuple(_jump(one, size) for one, size in jumps.items())
 
 
-def _is_arm(reference: str) -> bool:
-    return reference.startswith("arm ")
-
-
-def _jump(name: str, size: float) -> Suspicion:
-    if _is_arm(name):
-        text = (
-            f"{name}: its SMR at the reference stop moved by {size * 1e3:.2f} mm since the last time: check that it"
-            " sits firmly"
-        )
-        return Suspicion("loose SMR", text, name.removeprefix("arm "))
-    return Suspicion("loose SMR", f"{name} moved by {size * 1e3:.2f} mm since the last time: check it")
+def _jump(reference: Reference, size: float) -> Suspicion:
+    how = f"moved by {size * 1e3:.2f} mm since the last time: check"
+    if reference.kind == "nest":
+        return Suspicion("loose SMR", f"{reference} {how} it")
+    text = f"{reference}: its SMR at the reference stop {how} that it sits firmly"
+    return Suspicion("loose SMR", text, reference.name)
 
 
 _ROUGH_M, _ROUGH_RAD = 0.05, np.radians(1.0)
@@ -335,7 +343,7 @@ class SmrSearch:
                 point = self.mover.measure_at(expected + offset, f"arm {name}", reach_m + _LATTICE_M, 1, at)
                 again = (self.mover.measure_at(point.p_M, f"arm {name}", at=at) for _ in range(self.repeats - 1))
                 points = [point, *again]
-            except (TargetLost, WrongTarget, Unstable) as error:
+            except _MISSED as error:
                 problem = problem or str(error)
                 continue
             off_m = float(np.linalg.norm(point.p_M - expected))
