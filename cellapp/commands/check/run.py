@@ -137,14 +137,7 @@ def _checked(run: RunFile, rotated: Collection[str] = ()) -> _Checked:
     used, arms = stage_in_force(run, stages), arms_stage(run, stages)
     readings = {name: known_readings(run, name) for name in run.profile.arms}
     located = LocateResult.from_json(used.text, f"{run.path}: {LOCATE}") if used.name == LOCATE else None
-    belief = check_belief(
-        run.profile,
-        model_of(run, arms),
-        readings,
-        angular=rotated,
-        T_new_old=None if located is None else np.array(located.T_new_old),
-        station=None if located is None else np.array(located.covariance),
-    )
+    belief = check_belief(run.profile, model_of(run, arms), readings, angular=rotated, located=located)
     return _Checked(stages, used, arms, model_of(run, used), belief)
 
 

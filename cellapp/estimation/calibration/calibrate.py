@@ -535,8 +535,22 @@ def _fitted(profile: Profile, name: str, readings: Readings, *, robust: bool = F
     refuse_odd_orientations(name, nominal, readings)
     its = measured_quantities(learn)
     nominal = with_probe(nominal, its.readings.q, its.R_M_S)
-    identification, excess = _identify(profile, name, nominal, its, robust=robust)
-    return _Fitted(readings, nominal, identification, excess)
+    settings = profile.calibration
+    with refused_by_arm(name):
+        found, excess_m = identify_with_excess(
+            nominal,
+            its.readings.q,
+            its.readings.p_M,
+            R_M_S=its.R_M_S,
+            sigma=its.stated,
+            parameter_set=settings.parameter_set,
+            prior_sigma=prior_sigmas(nominal, settings.priors, arm.fixed),
+            robust=robust_loss(settings, robust=robust),
+            tool_unknown=arm.smr.offset == "unknown",
+            tolerance=settings.tolerance,
+            max_iterations=settings.max_iterations,
+        )
+    return _Fitted(readings, nominal, found, excess_m)
 
 
 def _evaluated(profile: Profile, name: str, readings: Readings, fitted: _Fitted) -> ArmCalibration:
@@ -659,27 +673,6 @@ def undetermined_offset(name: str, found: Identification) -> list[str]:
         f" +-{NORMAL_95 * sd_mm:.0f} mm), as that direction hardly rotated; positions of the {what} {of} are not"
         " affected, those of another tool are: measure with the wrist turned to more sides"
     ]
-
-
-def _identify(
-    profile: Profile, name: str, nominal: Geometry, learn: Quantities, *, robust: bool
-) -> tuple[Identification, float]:
-    """Identify one arm with the settings of the profile; return it with its excess scatter [m]."""
-    settings = profile.calibration
-    with refused_by_arm(name):
-        return identify_with_excess(
-            nominal,
-            learn.readings.q,
-            learn.readings.p_M,
-            R_M_S=learn.R_M_S,
-            sigma=learn.stated,
-            parameter_set=settings.parameter_set,
-            prior_sigma=prior_sigmas(nominal, settings.priors, profile.arms[name].fixed),
-            robust=robust_loss(settings, robust=robust),
-            tool_unknown=profile.arms[name].smr.offset == "unknown",
-            tolerance=settings.tolerance,
-            max_iterations=settings.max_iterations,
-        )
 
 
 def train_arm(profile: Profile, arm: ArmCalibration, readings: Readings, steps: JobSteps = UNTOLD) -> ArmCalibration:

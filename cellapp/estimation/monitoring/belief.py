@@ -15,6 +15,7 @@ from cellapp.estimation.calibration.least_squares import excess_variance, mean_v
 from cellapp.estimation.calibration.parameters import ParameterSet
 from cellapp.estimation.calibration.quantities import ArmReadings, Quantities, measured_quantities, states_nothing
 from cellapp.estimation.discovery.prior_fit import Posterior, design
+from cellapp.estimation.monitoring.records import LocateResult
 from cellapp.estimation.prior.belief import is_smooth
 from cellapp.estimation.prior.calibrate import calibration_posterior
 from cellapp.estimation.readings import Readings, covariances_of
@@ -210,8 +211,7 @@ def check_belief(
     readings: Mapping[str, Readings],
     *,
     angular: Collection[str] = (),
-    T_new_old: Array | None = None,
-    station: Array | None = None,
+    located: LocateResult | None = None,
 ) -> CheckBelief:
     """Build the belief of a check from a calibration.
 
@@ -224,10 +224,8 @@ def check_belief(
         Arm -> the readings that it was calibrated from, of all splits.
     angular : collection of str
         Arms of which the check measures orientation too; used if the calibration measured it.
-    T_new_old : array, shape (4, 4), optional
-        Maps coordinates of the tracker's frame into that of the station where it was located since.
-    station : array, shape (6, 6), optional
-        Covariance of that station, see ``CheckBelief``.
+    located : LocateResult, optional
+        Station where the tracker was located since.
 
     Raises
     ------
@@ -244,9 +242,10 @@ def check_belief(
     for name, arm in ArmReadings.of_cell(profile, model.arms, own).items():
         watched = watching(replace(arm.model, network=None), arm.quantities())
         arms[name] = arm_belief(*calibration_posterior(replace(arm, model=watched)))
-    if T_new_old is not None:
-        arms = {name: _relocated(arm, T_new_old) for name, arm in arms.items()}
-    return CheckBelief(arms, station)
+    if located is None:
+        return CheckBelief(arms)
+    relocated_arms = {name: _relocated(arm, np.array(located.T_new_old)) for name, arm in arms.items()}
+    return CheckBelief(relocated_arms, np.array(located.covariance))
 
 
 def watching(model: ArmModel, measured: Quantities) -> ArmModel:
