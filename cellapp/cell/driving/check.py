@@ -28,7 +28,7 @@ from cellapp.ground.profile import Profile
 from cellapp.robot.model import CellModel
 from drivers.arms.protocol import ArmState
 
-Judge = Callable[[Mapping[str, Readings]], SequentialState]
+AddStop = Callable[[Mapping[str, Readings]], SequentialState]
 """Function that adds one stop, arm -> its reading, and returns the state of the test, as ``SequentialTest.add``."""
 
 
@@ -56,9 +56,9 @@ class DrivenCheck:
 
 
 def drive_check(
-    mover: Mover, model: CellModel, stops: Sequence[Mapping[str, Readings]], judge: Judge, excess_m: Mapping[str, float]
+    mover: Mover, model: CellModel, stops: Sequence[Mapping[str, Readings]], add: AddStop, excess_m: Mapping[str, float]
 ) -> DrivenCheck:
-    """Visit the stops with all arms together until ``judge`` is sure, and go home.
+    """Visit the stops with all arms together until the test that ``add`` tells is sure, and go home.
 
     ``model`` is in the present tracker frame. ``stops`` are readings of the calibration, one of each arm, in the order
     of driving. ``excess_m`` is as in ``fit_station``.
@@ -67,7 +67,7 @@ def drive_check(
     """
     profile, repeat = mover.profile, mover.profile.collection.repeat
     search = SmrSearch(model, mover, np.eye(4), excess_m, 1 if repeat.precision is None else repeat.times)
-    checking = _Checking(stops, judge, mover, search)
+    checking = _Checking(stops, add, mover, search)
     seconds = visits_s(profile, [{name: its.q[0] for name, its in stop.items()} for stop in stops])
     tell_time(mover.control, "check", profile, seconds, 0, len(stops), "takes at most about")
     checking.visit_all()
@@ -82,7 +82,7 @@ def drive_check(
 @dataclass(eq=False)
 class _Checking:
     stops: Sequence[Mapping[str, Readings]]
-    judge: Judge
+    add: AddStop
     mover: Mover
     search: SmrSearch
     driven: DrivenCheck = field(default_factory=DrivenCheck)
@@ -144,7 +144,7 @@ class _Checking:
         for name, one in found.items():  # no time: it would be far beyond the times of the calibration
             row = reading_of(one.point, one.conditions, sequence=float(count), temperature_c=one.point.temperature_c)
             rows[name] = row.at_stop(count)
-        state = self.judge(rows)
+        state = self.add(rows)
         self.driven.stops.append(MeasuredStop(number, found, state, self.elapsed_s()))
         return state.sure
 

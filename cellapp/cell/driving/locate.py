@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from cellapp.cell.driving.measuring import APART_M, MISSED, FoundPoint, SmrSearch
+from cellapp.cell.driving.measuring import APART_M, MISSED, FoundPoint, SmrSearch, points_of
 from cellapp.cell.driving.motion import MotionRefused, Mover, Vector
 from cellapp.cell.driving.target_visit import drive_to
 from cellapp.cell.safety.gate import refuse_motion, visible
@@ -145,7 +145,7 @@ def locate_station(
     measuring = _Measuring(mover, LocatingStops(mover, model, candidates), search)
     count, remainder = divmod(total, len(candidates))  # the first arms take the remainder
     measuring.measure({name: count + (k < remainder) for k, name in enumerate(candidates)})
-    points = search.points()
+    points = points_of(search.found)
     fit = fit_station(model, points, search.T_new_old, excess_m=excess_m, seed=(mover.profile.seed,))
     mover.go_home()
     return LocatedStation(tuple(measuring.found), points, fit, tuple(measuring.notes))

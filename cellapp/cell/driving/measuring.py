@@ -123,7 +123,7 @@ def nests_in_M(profile: Profile) -> dict[str, NDArray[np.float64]]:
     return {name: (np.array(position) - T_C_M[:3, 3]) @ T_C_M[:3, :3] for name, position in nests.items()}
 
 
-class Reference(NamedTuple):
+class ReferenceSmr(NamedTuple):
     """What is measured again and again during a run: the SMR of an arm at the reference stop, or one in a nest."""
 
     kind: Literal["arm", "nest"]
@@ -149,7 +149,7 @@ class References:
     """Arm -> what it carries, in words, if that is not the first load. Its references are then compared separately: an
     arm that sags more under another load does not drift."""
     _first_M: dict[str, Vector] = field(default_factory=dict)
-    _last_M: dict[Reference, Vector] = field(default_factory=dict)
+    _last_M: dict[ReferenceSmr, Vector] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not self.accept_drift:
@@ -205,16 +205,16 @@ class References:
             self.run.add_reference(row)
         return ReferenceReport(drift_mm, limit_m * 1e3)
 
-    def _points(self, states: Mapping[str, Vector]) -> dict[Reference, PointAtRest]:
+    def _points(self, states: Mapping[str, Vector]) -> dict[ReferenceSmr, PointAtRest]:
         """Measure the arms at ``states`` and the nests; record those that cannot be measured."""
-        measure: dict[Reference, Measure] = {
-            Reference("arm", name): partial(measured_at_arm, self.supervisor, name, q) for name, q in states.items()
+        measure: dict[ReferenceSmr, Measure] = {
+            ReferenceSmr("arm", name): partial(measured_at_arm, self.supervisor, name, q) for name, q in states.items()
         }
         for name, expected_M in nests_in_M(self.run.profile).items():
-            nest = Reference("nest", name)
+            nest = ReferenceSmr("nest", name)
             at_nest = partial(self.supervisor.mover.measure_at, expected_M, str(nest))
             measure[nest] = partial(_precise, self.supervisor, str(nest), at_nest)
-        points: dict[Reference, PointAtRest] = {}
+        points: dict[ReferenceSmr, PointAtRest] = {}
         for reference, at_reference in measure.items():
             try:
                 points[reference] = at_reference()
@@ -224,7 +224,7 @@ class References:
 
 
 def reference_jumps(
-    before_M: Mapping[Reference, Array], now_M: Mapping[Reference, Array], limit_m: float
+    before_M: Mapping[ReferenceSmr, Array], now_M: Mapping[ReferenceSmr, Array], limit_m: float
 ) -> tuple[Suspicion, ...]:
     """Return suspicions from the references' positions (3,) [m] the last time and now."""
     moved = {one: float(np.linalg.norm(p_M - before_M[one])) for one, p_M in now_M.items() if one in before_M}
@@ -236,7 +236,7 @@ def reference_jumps(
     return tuple(_jump(one, size) for one, size in jumps.items())
 
 
-def _jump(reference: Reference, size: float) -> Suspicion:
+def _jump(reference: ReferenceSmr, size: float) -> Suspicion:
     how = f"moved by {size * 1e3:.2f} mm since the last time: check"
     if reference.kind == "nest":
         return Suspicion("loose SMR", f"{reference} {how} it")
@@ -308,10 +308,6 @@ class SmrSearch:
         """Station (4, 4) as estimated from the points so far."""
         return self._so_far[0]
 
-    def points(self) -> dict[str, Readings]:
-        """Return the points by arm, as a fit takes them."""
-        return points_of(self.found)
-
     def measure(self, name: str, state: ArmState) -> FoundPoint | str:
         """Measure the SMR of an arm at rest at or near its prediction; return why if it is not found.
 
@@ -322,7 +318,9 @@ class SmrSearch:
             self.found.append(found)
             # fit the station again, unless it predicted the point well enough already
             if found.found_off_m > _KNOWN_M or self._reach_m(found.point.p_M) > _REACH_M[0]:
-                fit = fit_station(self.model, self.points(), self.T_new_old, excess_m=self.excess_m, rough=self._rough)
+                fit = fit_station(
+                    self.model, points_of(self.found), self.T_new_old, excess_m=self.excess_m, rough=self._rough
+                )
                 self._so_far = fit.T_new_old, fit.covariance
         return found
 
