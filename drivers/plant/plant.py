@@ -15,7 +15,7 @@ from drivers.plant.clearance import Clearance
 from drivers.plant.config import Array, PlantConfig, broadcast
 from drivers.plant.effect import Situation
 from drivers.plant.mechanism import NO_DEFLECTION, Deflection, Load, Mechanism, Posture, combined
-from drivers.plant.motion import Phase, braked, note_phase, phase_of, travel
+from drivers.plant.motion import Phase, braked, travel
 from drivers.plant.optics import covariances, noise, why_hidden
 from drivers.plant.servo import follow
 from drivers.plant.transforms import inverse, transform_points
@@ -65,10 +65,6 @@ class Plant:
     def names(self) -> tuple[str, ...]:
         """Names of the arms."""
         return tuple(self._arms)
-
-    def true_T_C_B(self, name: str) -> Array:
-        """Return the true base pose of an arm in the cell, (4, 4), at rest and undeflected."""
-        return self._arm(name).T_C_B.copy()
 
     def true_mechanism(self, name: str) -> Mechanism:
         """Return the true mechanism of an arm, undeflected."""
@@ -287,7 +283,7 @@ class Plant:
         if arm.motion is not None:
             raise ValueError(f"arm {name} is still moving")
         goal = np.array(q, dtype=np.float64)
-        note_phase(arm, self._clock_s)
+        arm.note_phase(self._clock_s)
         arm.resting = None
         arm.motion = travel(self._clock_s, arm.q, goal, speed, acceleration)
         if arm.motion is not None:
@@ -312,7 +308,7 @@ class Plant:
 
     def _end_motion(self, arm: TrueArm, q: Array, time_s: float) -> None:
         """Update the arm's state and memories after a motion to ``q``."""
-        note_phase(arm, time_s)
+        arm.note_phase(time_s)
         arm.note_motion(q)
         arm.rest_since_s = time_s
         arm.motion, arm.streamed = None, None
@@ -371,7 +367,7 @@ class Plant:
         return arm.resting
 
     def _apparent_now(self, arm: TrueArm) -> Seen:
-        phase, now_s = phase_of(arm, self._clock_s), np.array([self._clock_s])
+        phase, now_s = arm.phase(self._clock_s), np.array([self._clock_s])
         situation, memories = self._in_phase(arm, phase, self._q(arm)[None], now_s, {}, moving=arm.motion is not None)
         posture, arm.load_deflection = self._equilibrium(
             arm, situation, memories, arm.load_deflection, arm.stop_error[None]

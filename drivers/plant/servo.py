@@ -13,7 +13,6 @@ from typing import Self
 import numpy as np
 
 from drivers.plant.config import Array
-from drivers.plant.motion import note_phase
 from drivers.plant.true_arm import TrueArm
 
 LOOKAHEAD_S = 0.03
@@ -100,7 +99,7 @@ def follow(arm: TrueArm, goal: Array, time_s: float, rate: float, repeatability:
     if arm.motion is not None and arm.streamed is None:
         raise ValueError(f"arm {arm.config.name} is still moving")
     ended, q, speed = arm.motion, arm.q, np.zeros(arm.config.joints)
-    note_phase(arm, time_s)
+    arm.note_phase(time_s)
     if ended is None:
         arm.resting = None
         arm.stop_error = repeatability * arm.repeatability.standard_normal(arm.config.joints)

@@ -18,7 +18,7 @@ import numpy as np
 from drivers.plant.config import Array
 from drivers.plant.effect import lagging
 from drivers.plant.mechanism import NO_DEFLECTION, inertia_torques
-from drivers.plant.motion import Phase, joints_at, phase_of
+from drivers.plant.motion import Phase
 from drivers.plant.plant import Plant, joint_rise
 from drivers.plant.servo import GAIN, LOOKAHEAD_S, servo_rate
 from drivers.plant.true_arm import TrueArm
@@ -196,7 +196,7 @@ def _points(
     segment = np.searchsorted(time_s[reversals[1:-1]], seen, side="right")
     for number, end in enumerate(reversals[1:]):
         rows = np.flatnonzero(segment == number)
-        phase = phase_of(arm, began_s)
+        phase = arm.phase(began_s)
         for at in range(0, len(rows), _AT_ONCE):
             some = rows[at : at + _AT_ONCE]
             at_s, turn, more = began_s + seen[some], inertia[some], added[some]
@@ -253,13 +253,13 @@ def recent_smr(plant: Plant, name: str, time_s: Array) -> tuple[Array, Array]:
     The arm may have moved since; history older than about a second is not available.
     """
     arm = plant._arm(name)
-    q, known = joints_at(arm, time_s, plant._clock_s)
+    q, known = arm.joints_at(time_s, plant._clock_s)
     inertia = np.zeros_like(q)
     if arm.effects and any(phase.motion is not None for phase, _ in known):
-        earlier, first = (joints_at(arm, time_s - n * _BACK_S, plant._clock_s)[0] for n in (1, 2))
+        earlier, first = (arm.joints_at(time_s - n * _BACK_S, plant._clock_s)[0] for n in (1, 2))
         inertia = inertia_torques(arm.mechanism, first, earlier, q, _BACK_S)
     p_M, normal_M = np.empty((2, len(time_s), 3))
-    moved = {other: joints_at(plant._arm(other), time_s, plant._clock_s)[0] for other in plant.names if other != name}
+    moved = {other: plant._arm(other).joints_at(time_s, plant._clock_s)[0] for other in plant.names if other != name}
     for phase, rows in known:
         moving, others = phase.motion is not None, {other: its[rows] for other, its in moved.items()}
         p_M[rows], normal_M[rows] = smr_in(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import takewhile
 
 import numpy as np
 
@@ -31,15 +32,21 @@ class TrueTarget:
     """An SMR at the current time: its arm, position (3,) [m] in M, and why the tracker cannot see it ("" if it can).
 
     ``R_M_S`` (3, 3) is the orientation of a 6-D probe, which is measured with the standard deviation ``sigma_rad``
-    about each axis.
+    about each axis. An SMR in a ``nest`` belongs to no arm.
     """
 
-    arm: str
+    arm: str | None
     p_M: Array
     hidden: str
-    moving: bool
+    moving: bool = False
     R_M_S: Array | None = None
     sigma_rad: float = 0.0
+    nest: str = ""
+
+    @property
+    def owner(self) -> str:
+        """Its arm or nest, in words."""
+        return f"nest {self.nest}" if self.arm is None else f"arm {self.arm}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +82,32 @@ class TrueArm:
     load_deflection: Deflection = NO_DEFLECTION  # last solution, start value of the next one
     resting: Seen | None = None  # cache for an arm at rest without effects
     trail: deque[Phase] = field(default_factory=lambda: deque(maxlen=LONGEST))  # recent history
+
+    def phase(self, until_s: float) -> Phase:
+        """Return the current phase, ending at ``until_s`` [s]."""
+        return Phase(until_s, self.motion, self.q, self.memories, self.approach, self.last_step, self.rest_since_s)
+
+    def note_phase(self, until_s: float) -> None:
+        """Store the phase that ends at ``until_s`` [s]; call it before motion or memories change."""
+        self.trail.append(self.phase(until_s))
+
+    def joints_at(self, time_s: Array, now_s: float) -> tuple[Array, list[tuple[Phase, np.ndarray]]]:
+        """Return joint positions (n, N) [rad] at recent times (n,), and the phases with the rows of their times."""
+        first_s = float(np.min(time_s, initial=now_s))
+        lasted = takewhile(lambda phase: phase.until_s >= first_s, reversed(self.trail))  # some ms out of a second
+        phases = [self.phase(now_s), *lasted][::-1]
+        number = np.searchsorted([phase.until_s for phase in phases[:-1]], time_s, side="left")
+        q = np.empty((len(time_s), len(self.q)))
+        known: list[tuple[Phase, np.ndarray]] = []
+        for one in np.unique(number):
+            phase, rows = phases[one], np.flatnonzero(number == one)
+            q[rows] = phase.positions(time_s[rows])
+            before, earlier = known[-1] if known else (None, rows)
+            if before is not None and before.q is phase.q and (before.motion is None) == (phase.motion is None):
+                known[-1] = before, np.concatenate([earlier, rows])
+            else:
+                known.append((phase, rows))
+        return q, known
 
     def remembered(self, memories: Sequence[Array | None], q: Array) -> list[Array | None]:
         """Return the memories of the effects after a motion without reversal to ``q`` (n, N)."""

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.plant import Plant
+from drivers.plant import Plant, TrueTarget
 from drivers.plant.clearance import segment_distances
 from drivers.plant.mechanism import Posture, nominal
 from drivers.plant.optics import why_hidden
@@ -233,7 +233,7 @@ class SimulatedTracker:
             self._stream = None
         return expected
 
-    def _orientation(self, locked: TrueSmr) -> Vector | None:
+    def _orientation(self, locked: TrueTarget) -> Vector | None:
         """Return the measured orientation of a 6-D probe (4,); None for an SMR."""
         if locked.R_M_S is None:
             return None
@@ -279,7 +279,7 @@ class SimulatedTracker:
         self.measured += len(track.p_M)
         return track
 
-    def hidden(self, locked: TrueSmr, p_M: Vector, normal_M: Vector) -> str:
+    def hidden(self, locked: TrueTarget, p_M: Vector, normal_M: Vector) -> str:
         """Return why the locked SMR is not visible at ``p_M`` (3,) now; empty if it is."""
         return self._down() or self.sight.hidden(locked, p_M, normal_M)
 
@@ -294,7 +294,7 @@ class SimulatedTracker:
             read = read * (1.0 + DYNAMIC_M * self.dynamic.standard_normal(distance.shape) / distance)
         return read, np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 3.0)
 
-    def _lock(self, expected: Vector) -> TrueSmr:
+    def _lock(self, expected: Vector) -> TrueTarget:
         around = []
         for target in self.sight.targets():
             distance = float(np.linalg.norm(target.p_M - expected))
@@ -324,7 +324,7 @@ class SimulatedTracker:
                 raise Halted("tracker: a halt was requested; no measurement was made")
             remaining = 0.0 if remaining <= step else end_s - self.plant.clock_s
 
-    def _average(self, locked: TrueSmr, averaging_s: float) -> None:
+    def _average(self, locked: TrueTarget, averaging_s: float) -> None:
         """Wait for the end of the averaging; check the target while anything moves or an event changes it."""
         began_s = self.plant.clock_s
         remaining = averaging_s
@@ -338,7 +338,7 @@ class SimulatedTracker:
                 self._check_target(locked, began_s)
             remaining = 0.0 if remaining <= step else began_s + averaging_s - self.plant.clock_s
 
-    def _check_target(self, locked: TrueSmr, began_s: float) -> None:
+    def _check_target(self, locked: TrueTarget, began_s: float) -> None:
         now = self.sight.behind_bodies(next(target for target in self.sight.targets() if target.owner == locked.owner))
         if now.hidden:
             raise TargetLost(f"tracker: the beam to the SMR of {locked.owner} broke in mid-measurement: {now.hidden}")
@@ -347,7 +347,7 @@ class SimulatedTracker:
             self._unstable(locked)
 
     @staticmethod
-    def _unstable(locked: TrueSmr) -> NoReturn:
+    def _unstable(locked: TrueTarget) -> NoReturn:
         raise Unstable(f"tracker: the SMR of {locked.owner} moved while it was measured")
 
     # -- what it reads -------------------------------------------------------------------------------------------------
@@ -404,22 +404,6 @@ class SimulatedTracker:
 # -- The view of the simulated tracker: SMRs of arms and nests, and the bodies between them and the tracker -----------
 
 
-@dataclass(frozen=True, eq=False)
-class TrueSmr:
-    """An SMR: its owner in words, its arm (None for a nest), position (3,) [m] in M, why it is hidden ("" if visible).
-
-    ``R_M_S`` and ``sigma_rad`` are those of ``Target``.
-    """
-
-    owner: str
-    arm: str | None
-    p_M: Vector
-    hidden: str
-    moving: bool = False
-    R_M_S: Vector | None = None
-    sigma_rad: float = 0.0
-
-
 class TrueSight:
     """The view of a tracker of ``plant``.
 
@@ -438,24 +422,20 @@ class TrueSight:
         """Cache: arm -> joint positions, and the ends of its capsules there."""
         self.covered: set[str] = set()
 
-    def targets(self) -> list[TrueSmr]:
+    def targets(self) -> list[TrueTarget]:
         """Return all SMRs of arms and nests, ignoring bodies in the beam."""
-        found = []
-        for target in self._plant.targets():
-            why = self._cover(target.arm) or target.hidden
-            probe = (target.R_M_S, target.sigma_rad)
-            found.append(TrueSmr(f"arm {target.arm}", target.arm, target.p_M, why, target.moving, *probe))
+        found = [replace(one, hidden=self._cover(one.arm) or one.hidden) for one in self._plant.targets()]
         for name, p_M in self._nests.items():
             facing = -p_M / np.linalg.norm(p_M)
             why = self._cover(name) or why_hidden(self._plant.config.tracker, p_M, facing, math.pi)
-            found.append(TrueSmr(f"nest {name}", None, p_M, why))
+            found.append(TrueTarget(None, p_M, why, nest=name))
         return found
 
-    def _cover(self, name: str) -> str:
+    def _cover(self, name: str | None) -> str:
         """Return why the SMR of an arm or nest is covered; empty if it is not."""
         return "something covers it" if name in self.covered else ""
 
-    def behind_bodies(self, target: TrueSmr) -> TrueSmr:
+    def behind_bodies(self, target: TrueTarget) -> TrueTarget:
         """Return the SMR, hidden if a body is in the beam."""
         why = target.hidden or self._beam_obstacle(target.p_M, target.arm)
         return replace(target, hidden=why)
@@ -492,16 +472,16 @@ class TrueSight:
             self._placed[name] = (key, (start, end))
         return self._placed[name][1]
 
-    def recent(self, locked: TrueSmr, time_s: Vector) -> tuple[Vector, Vector]:
+    def recent(self, locked: TrueTarget, time_s: Vector) -> tuple[Vector, Vector]:
         """Return positions and viewing directions (n, 3) of an SMR at recent times (n,)."""
         if locked.arm is not None:
             return recent_smr(self._plant, locked.arm, time_s)
         p_M = np.repeat(locked.p_M[None], len(time_s), axis=0)
         return p_M, -p_M / np.linalg.norm(p_M, axis=1, keepdims=True)
 
-    def hidden(self, locked: TrueSmr, p_M: Vector, normal_M: Vector) -> str:
+    def hidden(self, locked: TrueTarget, p_M: Vector, normal_M: Vector) -> str:
         """Return why an SMR at ``p_M`` (3,) is not visible now; empty if it is."""
-        if why := self._cover(locked.arm or locked.owner.removeprefix("nest ")):
+        if why := self._cover(locked.arm or locked.nest):
             return why
         acceptance = math.pi
         if locked.arm is not None:
@@ -524,7 +504,7 @@ class SimulatedStream:
     def __init__(
         self,
         tracker: SimulatedTracker,
-        locked: TrueSmr,
+        locked: TrueTarget,
         interval_s: float,
         lost: Callable[[TrackerError], None],
         received: Callable[[Track], None],

@@ -338,9 +338,9 @@ def carrying(profile: Profile, loads_kg: Iterable[tuple[str, float | None]]) -> 
 
 
 def other_loads(planned: Profile, profile: Profile) -> dict[str, str]:
-    """Return the references of arms with another load than the plan's first one -> that load, in words."""
+    """Return the arms with another load than the plan's first one -> that load, in words."""
     loads = {name: arm.payload for name, arm in profile.arms.items() if arm.payload != planned.arms[name].payload}
-    return {f"arm {name}": f" with {load.mass:g} kg" for name, load in loads.items()}
+    return {name: f" with {load.mass:g} kg" for name, load in loads.items()}
 
 
 def _check_stated(due: Profile, stated: Mapping[str, float], changes: Mapping[str, object]) -> None:

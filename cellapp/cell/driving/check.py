@@ -14,24 +14,21 @@ from itertools import combinations
 
 import numpy as np
 
-from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.measuring import APART_M, MISSED, FoundPoint, SmrSearch
-from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover, reading_of
-from cellapp.cell.driving.supervision import moving_cell
+from cellapp.cell.driving.motion import MotionRefused, Mover, reading_of
 from cellapp.cell.driving.target_visit import drive_to
 from cellapp.cell.planning.planned_stops import tell_time, visits_s
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.cell.safety.gate import clear_stops, visible_stops
 from cellapp.estimation.monitoring.belief import SequentialState
 from cellapp.estimation.readings import Readings
-from cellapp.ground.control import JobControl
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.robot.model import CellModel
 from drivers.arms.protocol import ArmState
 
-Judge = Callable[[Mapping[str, Readings]], SequentialState]
+AddStop = Callable[[Mapping[str, Readings]], SequentialState]
 """Function that adds one stop, arm -> its reading, and returns the state of the test, as ``SequentialTest.add``."""
 
 
@@ -59,44 +56,23 @@ class DrivenCheck:
 
 
 def drive_check(
-    profile: Profile,
-    model: CellModel,
-    stops: Sequence[Mapping[str, Readings]],
-    judge: Judge,
-    excess_m: Mapping[str, float],
-    control: JobControl,
-    *,
-    confirm: Confirm | None = None,
-    opened: Callable[[Cell], object] = lambda cell: None,
+    mover: Mover, model: CellModel, stops: Sequence[Mapping[str, Readings]], add: AddStop, excess_m: Mapping[str, float]
 ) -> DrivenCheck:
-    """Visit the stops with all arms together until ``judge`` is sure.
+    """Visit the stops with all arms together until the test that ``add`` tells is sure, and go home.
 
     ``model`` is in the present tracker frame. ``stops`` are readings of the calibration, one of each arm, in the order
     of driving. ``excess_m`` is as in ``fit_station``.
-    If the gate refuses a stop for all arms together, each goes there alone, with the others at home. ``opened`` is
-    called with the open cell before anything moves; an exception from it ends the job. ``confirm`` is called before the
-    first motion.
-
-    Raises
-    ------
-    HardwareError
-        If a device fails (all arms have been stopped), or if no SMR is found.
-    InputError
-        If the first motion is not confirmed.
-    Stopped, Aborted
-        On request; the arms have been braked.
+    If the gate refuses a stop for all arms together, each goes there alone, with the others at home. Raise as
+    ``moving_cell``, and ``HardwareError`` if no SMR is found.
     """
-    with moving_cell(profile, model, control, confirm=confirm, opened=opened) as mover:
-        repeat = profile.collection.repeat
-        repeats = 1 if repeat.precision is None else repeat.times
-        search = SmrSearch(model, mover, np.eye(4), excess_m, repeats)
-        checking = _Checking(stops, judge, mover, search)
-        seconds = visits_s(profile, [{name: its.q[0] for name, its in stop.items()} for stop in stops])
-        tell_time(control, "check", profile, seconds, 0, len(stops), "takes at most about")
-        checking.visit_all()
-        mover.go_home()
-        checking.driven.seconds = checking.elapsed_s()
-    control.tell("check", len(stops), len(stops), "done")
+    profile, repeat = mover.profile, mover.profile.collection.repeat
+    search = SmrSearch(model, mover, np.eye(4), excess_m, 1 if repeat.precision is None else repeat.times)
+    checking = _Checking(stops, add, mover, search)
+    seconds = visits_s(profile, [{name: its.q[0] for name, its in stop.items()} for stop in stops])
+    tell_time(mover.control, "check", profile, seconds, 0, len(stops), "takes at most about")
+    checking.visit_all()
+    mover.go_home()
+    checking.driven.seconds = checking.elapsed_s()
     return checking.driven
 
 
@@ -106,7 +82,7 @@ def drive_check(
 @dataclass(eq=False)
 class _Checking:
     stops: Sequence[Mapping[str, Readings]]
-    judge: Judge
+    add: AddStop
     mover: Mover
     search: SmrSearch
     driven: DrivenCheck = field(default_factory=DrivenCheck)
@@ -168,7 +144,7 @@ class _Checking:
         for name, one in found.items():  # no time: it would be far beyond the times of the calibration
             row = reading_of(one.point, one.conditions, sequence=float(count), temperature_c=one.point.temperature_c)
             rows[name] = row.at_stop(count)
-        state = self.judge(rows)
+        state = self.add(rows)
         self.driven.stops.append(MeasuredStop(number, found, state, self.elapsed_s()))
         return state.sure
 

@@ -343,13 +343,11 @@ class CollectSession:
                 self._note(f"stop {stop + 1}, arm {name}: not measured: {error}")
                 continue
             air_c = point.temperature_c if self._air is None else temperature_c
-            rows[name] = self._reading(stop, name, states[name], point, air_c)
+            rows[name] = self._reading(name, states[name], point, air_c)
             self._emit(point_measured(stop, name, rows[name]))
         return rows, outcomes
 
-    def _reading(
-        self, stop: int, name: str, state: ArmState, point: PointAtRest, temperature_c: float | None
-    ) -> Readings:
+    def _reading(self, name: str, state: ArmState, point: PointAtRest, temperature_c: float | None) -> Readings:
         """Return the reading of a point just measured; its dwell time lasts until the middle of the averaging."""
         carried, payload_kg = self.mover.profile.arms[name].payload, state.payload_kg
         return reading_of(

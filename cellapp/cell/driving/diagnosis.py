@@ -50,7 +50,7 @@ def examine(profile: Profile) -> list[Finding]:
     with ThreadPoolExecutor(max_workers=len(profile.arms) + 2, thread_name_prefix="probe") as pool:
         probes = _start_probes(pool, profile)
         placement = _placement(profile)
-        findings = [_python(profile), *_found(profile, probes)]
+        findings = [_python(profile), *_found(probes)]
     return findings + placement
 
 
@@ -79,7 +79,7 @@ def _start_probes(pool: Executor, profile: Profile) -> _Probes:
         found = [*arm.driver.probe(arm_context(name, arm), LONGEST_PROBE_S)]
         if found and found[0].status != "failed":
             found += arm.driver.link(arm_context(name, arm), lambda: None)
-        return found
+        return [*_shared_address(profile, name), *found]
 
     probes: dict[str, Callable[[], Sequence[Finding]]] = {
         f"arm {name}": partial(probe_arm, name) for name in profile.arms
@@ -90,15 +90,13 @@ def _start_probes(pool: Executor, profile: Profile) -> _Probes:
     return {name: pool.submit(probe) for name, probe in probes.items()}
 
 
-def _found(profile: Profile, probes: _Probes) -> list[Finding]:
+def _found(probes: _Probes) -> list[Finding]:
     """Collect the findings of the probes, with the device's name in front of each subject."""
-    findings = []
-    for device, probe in probes.items():
-        arm = device.removeprefix("arm ")
-        shared = _shared_address(profile, arm) if arm in profile.arms and arm != device else []
-        for one in (*shared, *probe.result()):
-            findings.append(replace(one, subject=f"{device}: {one.subject}" if one.subject else device))
-    return findings
+    return [
+        replace(one, subject=f"{device}: {one.subject}" if one.subject else device)
+        for device, probe in probes.items()
+        for one in probe.result()
+    ]
 
 
 def _python(profile: Profile) -> Finding:

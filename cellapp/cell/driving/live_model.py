@@ -186,7 +186,7 @@ _MOST_ALIKE = 0.8
 _LIKELY_CHANGE = 0.05
 """Prior standard deviation of an offset [m] or motion [m, rad]: so wide that it only regularises the estimate."""
 
-ChangeKind = Literal["slip", "play", "move", "drift"]
+PatternKind = Literal["slip", "play", "move", "drift"]
 _Key = tuple[str, str | None]
 
 
@@ -228,7 +228,7 @@ class _Explanation:
         Number of stops since the change.
     """
 
-    kind: ChangeKind
+    kind: PatternKind
     arm: str | None
     chi_square: float
     parameters: int

@@ -5,23 +5,20 @@ The station is known only roughly: ``measuring`` searches for the first SMR, and
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from cellapp.cell.driving.cell import Cell
-from cellapp.cell.driving.measuring import APART_M, MISSED, FoundPoint, SmrSearch
-from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover, Vector
-from cellapp.cell.driving.supervision import moving_cell
+from cellapp.cell.driving.measuring import APART_M, MISSED, FoundPoint, SmrSearch, points_of
+from cellapp.cell.driving.motion import MotionRefused, Mover, Vector
 from cellapp.cell.driving.target_visit import drive_to
 from cellapp.cell.safety.gate import refuse_motion, visible
 from cellapp.cell.targets.invert import clear_with_others
-from cellapp.estimation.calibration.station_location import ArmPoints, StationFit, fit_station
-from cellapp.ground.control import JobControl
+from cellapp.estimation.calibration.station_location import StationFit, fit_station
+from cellapp.estimation.readings import Readings
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import HardwareError
-from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.transforms import Array, twist_columns
 from cellapp.robot.model import CellModel
 from cellapp.robot.model.model import relocated
@@ -125,60 +122,32 @@ class LocatedStation:
     """Points and the best fitting station."""
 
     found: tuple[FoundPoint, ...]
-    points: Mapping[str, ArmPoints]
+    points: Mapping[str, Readings]
     fit: StationFit
     notes: tuple[str, ...]
 
 
-@dataclass(frozen=True, eq=False)
-class LocateTask:
-    """Settings of the measurement.
+def locate_station(
+    mover: Mover,
+    model: CellModel,
+    rough_T: Array,
+    candidates: Mapping[str, Array],
+    excess_m: Mapping[str, float],
+    total: int,
+) -> LocatedStation:
+    """Measure ``total`` points, one arm at a time with the others at home, fit the station, and go home.
 
     ``model`` is in the tracker frame of its calibration; ``rough_T`` (4, 4) maps that frame into a guess of the present
-    one. ``candidates`` are as in ``LocatingStops``, ``excess_m`` as in ``fit_station``; ``points`` is the total number
-    over all arms.
+    one. ``candidates`` are as in ``LocatingStops``, ``excess_m`` as in ``fit_station``. Raise as ``moving_cell``,
+    ``HardwareError`` if too few SMRs are found, and ``InputError`` if they are too close together or on one line.
     """
-
-    profile: Profile
-    model: CellModel
-    rough_T: Array
-    candidates: Mapping[str, Array]
-    excess_m: Mapping[str, float]
-    points: int
-
-
-def locate_station(
-    task: LocateTask,
-    control: JobControl,
-    *,
-    confirm: Confirm | None = None,
-    opened: Callable[[Cell], object] = lambda cell: None,
-) -> LocatedStation:
-    """Measure the points, one arm at a time with the others at home; measure more if they do not fit together.
-
-    ``opened`` is called with the open cell before anything moves; an exception from it ends the job. ``confirm`` is
-    called before the first motion.
-
-    Raises
-    ------
-    HardwareError
-        If a device fails (all arms have been stopped), or if too few SMRs are found.
-    InputError
-        If the found points are too close together or on one line.
-    Stopped, Aborted
-        On request; the arms have been braked.
-    """
-    profile, model = task.profile, task.model
-    with moving_cell(profile, model, control, confirm=confirm, opened=opened, slow_visits=None) as mover:
-        stops = LocatingStops(mover, model, task.candidates)
-        search = SmrSearch(model, mover, task.rough_T, task.excess_m, _REPEATS)
-        measuring = _Measuring(mover, stops, search)
-        count, remainder = divmod(task.points, len(task.candidates))  # the first arms take the remainder
-        measuring.measure({name: count + (k < remainder) for k, name in enumerate(task.candidates)})
-        points = search.points()
-        fit = fit_station(model, points, search.T_new_old, excess_m=task.excess_m, seed=(profile.seed,))
-        mover.go_home()
-    control.tell("locate", len(measuring.found), len(measuring.found), "done")
+    search = SmrSearch(model, mover, rough_T, excess_m, _REPEATS)
+    measuring = _Measuring(mover, LocatingStops(mover, model, candidates), search)
+    count, remainder = divmod(total, len(candidates))  # the first arms take the remainder
+    measuring.measure({name: count + (k < remainder) for k, name in enumerate(candidates)})
+    points = points_of(search.found)
+    fit = fit_station(model, points, search.T_new_old, excess_m=excess_m, seed=(mover.profile.seed,))
+    mover.go_home()
     return LocatedStation(tuple(measuring.found), points, fit, tuple(measuring.notes))
 
 

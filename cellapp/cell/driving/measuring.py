@@ -14,16 +14,19 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import product
-from typing import Any
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.driving.motion import Mover, PointAtRest, Vector
+from cellapp.cell.driving.motion import Mover, PointAtRest, Vector, reading_of
 from cellapp.cell.driving.supervision import CellSupervisor
 from cellapp.cell.run import ReferenceRow, RunFile
-from cellapp.estimation.calibration.station_location import ArmPoints, RoughStation, fit_station, predicted_points
+from cellapp.estimation.calibration.station_location import RoughStation, beside, fit_station
+from cellapp.estimation.readings import Readings
+from cellapp.estimation.readings.readings import joined
 from cellapp.ground.errors import HardwareError
+from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import ReferenceReport, Suspicion
 from cellapp.robot.effects import MeasurementConditions
@@ -120,6 +123,16 @@ def nests_in_M(profile: Profile) -> dict[str, NDArray[np.float64]]:
     return {name: (np.array(position) - T_C_M[:3, 3]) @ T_C_M[:3, :3] for name, position in nests.items()}
 
 
+class ReferenceSmr(NamedTuple):
+    """What is measured again and again during a run: the SMR of an arm at the reference stop, or one in a nest."""
+
+    kind: Literal["arm", "nest"]
+    name: str
+
+    def __str__(self) -> str:
+        return f"{self.kind} {self.name}"
+
+
 @dataclass
 class References:
     """Measures the references of one session and compares them with their first measurements in the run.
@@ -133,10 +146,10 @@ class References:
     suspect: Callable[[Suspicion], None]
     accept_drift: bool = False
     carried: Mapping[str, str] = field(default_factory=dict)
-    """Reference -> what its arm carries, in words, if that is not the first load. Such references are compared
-    separately: an arm that sags more under another load does not drift."""
+    """Arm -> what it carries, in words, if that is not the first load. Its references are then compared separately: an
+    arm that sags more under another load does not drift."""
     _first_M: dict[str, Vector] = field(default_factory=dict)
-    _last_M: dict[str, Vector] = field(default_factory=dict)
+    _last_M: dict[ReferenceSmr, Vector] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not self.accept_drift:
@@ -185,53 +198,50 @@ class References:
         self._last_M |= now_M
         drift_mm = {}
         for reference, point in points.items():
-            name = reference + self.carried.get(reference, "")
+            name = str(reference) + (self.carried.get(reference.name, "") if reference.kind == "arm" else "")
             first_M = self._first_M.setdefault(name, point.p_M)
             drift_mm[name] = float(np.linalg.norm(point.p_M - first_M)) * 1e3
             row = ReferenceRow(name, stops_done, point.time_s - began_s, point.p_M, self.session)
             self.run.add_reference(row)
         return ReferenceReport(drift_mm, limit_m * 1e3)
 
-    def _points(self, states: Mapping[str, Vector]) -> dict[str, PointAtRest]:
+    def _points(self, states: Mapping[str, Vector]) -> dict[ReferenceSmr, PointAtRest]:
         """Measure the arms at ``states`` and the nests; record those that cannot be measured."""
-        measure: dict[str, Measure] = {
-            f"arm {name}": partial(measured_at_arm, self.supervisor, name, q) for name, q in states.items()
+        measure: dict[ReferenceSmr, Measure] = {
+            ReferenceSmr("arm", name): partial(measured_at_arm, self.supervisor, name, q) for name, q in states.items()
         }
         for name, expected_M in nests_in_M(self.run.profile).items():
-            at_nest = partial(self.supervisor.mover.measure_at, expected_M, f"nest {name}")
-            measure[f"nest {name}"] = partial(_precise, self.supervisor, f"nest {name}", at_nest)
-        points: dict[str, PointAtRest] = {}
-        for name, at_reference in measure.items():
+            nest = ReferenceSmr("nest", name)
+            at_nest = partial(self.supervisor.mover.measure_at, expected_M, str(nest))
+            measure[nest] = partial(_precise, self.supervisor, str(nest), at_nest)
+        points: dict[ReferenceSmr, PointAtRest] = {}
+        for reference, at_reference in measure.items():
             try:
-                points[name] = at_reference()
-            except (TargetLost, WrongTarget, Unstable) as error:
-                self.supervisor.record("reference", f"{name}: not measured: {error}")
+                points[reference] = at_reference()
+            except _MISSED as error:
+                self.supervisor.record("reference", f"{reference}: not measured: {error}")
         return points
 
 
-def reference_jumps(before_M: Mapping[str, Array], now_M: Mapping[str, Array], limit_m: float) -> tuple[Suspicion, ...]:
-    """Return suspicions from the references' positions (3,) [m] the last time and now: by name, "arm NAME" or nests."""
-    moved = {name: float(np.linalg.norm(p_M - before_M[name])) for name, p_M in now_M.items() if name in before_M}
-    jumps = {name: size for name, size in moved.items() if size > limit_m}
-    if jumps and len(jumps) == len(moved) and (len(jumps) > 1 or not any(map(_is_arm, jumps))):
+def reference_jumps(
+    before_M: Mapping[ReferenceSmr, Array], now_M: Mapping[ReferenceSmr, Array], limit_m: float
+) -> tuple[Suspicion, ...]:
+    """Return suspicions from the references' positions (3,) [m] the last time and now."""
+    moved = {one: float(np.linalg.norm(p_M - before_M[one])) for one, p_M in now_M.items() if one in before_M}
+    jumps = {one: size for one, size in moved.items() if size > limit_m}
+    if jumps and len(jumps) == len(moved) and (len(jumps) > 1 or not any(one.kind == "arm" for one in jumps)):
         size = f"{max(jumps.values()) * 1e3:.2f} mm"
         text = f"all references moved by {size} since the last time: was the tracker touched?"
         return (Suspicion("tracker moved", text),)
-    return tuple(_jump(name, size) for name, size in jumps.items())
+    return tuple(_jump(one, size) for one, size in jumps.items())
 
 
-def _is_arm(reference: str) -> bool:
-    return reference.startswith("arm ")
-
-
-def _jump(name: str, size: float) -> Suspicion:
-    if _is_arm(name):
-        text = (
-            f"{name}: its SMR at the reference stop moved by {size * 1e3:.2f} mm since the last time: check that it"
-            " sits firmly"
-        )
-        return Suspicion("loose SMR", text, name.removeprefix("arm "))
-    return Suspicion("loose SMR", f"{name} moved by {size * 1e3:.2f} mm since the last time: check it")
+def _jump(reference: ReferenceSmr, size: float) -> Suspicion:
+    how = f"moved by {size * 1e3:.2f} mm since the last time: check"
+    if reference.kind == "nest":
+        return Suspicion("loose SMR", f"{reference} {how} it")
+    text = f"{reference}: its SMR at the reference stop {how} that it sits firmly"
+    return Suspicion("loose SMR", text, reference.name)
 
 
 _ROUGH_M, _ROUGH_RAD = 0.05, np.radians(1.0)
@@ -257,7 +267,7 @@ class FoundPoint:
     """Measured point with its arm.
 
     ``found_off_m`` is its distance from the prediction [m]. ``point`` is the mean of the measurements, whose positions
-    are ``repeats_M`` (k, 3) [m]. ``others`` are the joint positions of the other arms at that time, name -> (N,) [rad].
+    are ``repeats_M`` (k, 3) [m]. ``other_q`` is as in ``Mover.other_q``, at that time.
     """
 
     arm: str
@@ -265,7 +275,7 @@ class FoundPoint:
     repeats_M: Array
     conditions: MeasurementConditions
     found_off_m: float
-    others: Mapping[str, Vector] = field(default_factory=dict)
+    other_q: Array | None
 
     @property
     def q(self) -> Vector:
@@ -298,10 +308,6 @@ class SmrSearch:
         """Station (4, 4) as estimated from the points so far."""
         return self._so_far[0]
 
-    def points(self) -> dict[str, ArmPoints]:
-        """Return the points by arm, in the format of a fit."""
-        return points_of(self.found)
-
     def measure(self, name: str, state: ArmState) -> FoundPoint | str:
         """Measure the SMR of an arm at rest at or near its prediction; return why if it is not found.
 
@@ -312,7 +318,9 @@ class SmrSearch:
             self.found.append(found)
             # fit the station again, unless it predicted the point well enough already
             if found.found_off_m > _KNOWN_M or self._reach_m(found.point.p_M) > _REACH_M[0]:
-                fit = fit_station(self.model, self.points(), self.T_new_old, excess_m=self.excess_m, rough=self._rough)
+                fit = fit_station(
+                    self.model, points_of(self.found), self.T_new_old, excess_m=self.excess_m, rough=self._rough
+                )
                 self._so_far = fit.T_new_old, fit.covariance
         return found
 
@@ -324,10 +332,8 @@ class SmrSearch:
 
     def _search(self, name: str, state: ArmState) -> FoundPoint | str:
         conditions = self.mover.conditions(name, state, 0.5 * self.mover.profile.tracker.averaging)
-        others = {other: q for other, q in self.mover.positions().items() if other != name}
-        # predict the SMR of the arm with the station so far, (3,) [m]
-        own = ArmPoints(state.q[None], np.zeros((1, 3)), np.zeros((1, 3, 3)), conditions, _only(others))
-        expected = np.asarray(predicted_points(relocated(self.model, self.T_new_old), {name: own})[name][0])
+        model, other_q = relocated(self.model, self.T_new_old), self.mover.other_q(name)
+        expected = model.arms[name].predict(state.q[None], beside(model, name, conditions, other_q))[0]
         reach_m, problem, at = self._reach_m(expected), "", (name, state.q)
         for offset in lattice(reach_m):
             self.mover.hold()
@@ -335,39 +341,25 @@ class SmrSearch:
                 point = self.mover.measure_at(expected + offset, f"arm {name}", reach_m + _LATTICE_M, 1, at)
                 again = (self.mover.measure_at(point.p_M, f"arm {name}", at=at) for _ in range(self.repeats - 1))
                 points = [point, *again]
-            except (TargetLost, WrongTarget, Unstable) as error:
+            except _MISSED as error:
                 problem = problem or str(error)
                 continue
             off_m = float(np.linalg.norm(point.p_M - expected))
             repeats_M = np.array([one.p_M for one in points])
-            return FoundPoint(name, mean_point(points), repeats_M, conditions, off_m, others)
+            return FoundPoint(name, mean_point(points), repeats_M, conditions, off_m, other_q)
         return f"arm {name}: no SMR within {reach_m * 1e3:.0f} mm of its prediction: {problem}"
 
 
-def points_of(found: Sequence[FoundPoint]) -> dict[str, ArmPoints]:
-    """Return the points by arm, in the format of a fit."""
-    points: dict[str, ArmPoints] = {}
-    by_chance = share_of_chance(found)
-    for name in dict.fromkeys(one.arm for one in found):
-        own = [one for one in found if one.arm == name]
-        beside = [_only(one.others) for one in own]
-        known = [one for one in beside if one is not None]
-        points[name] = ArmPoints(
-            q=np.array([one.q for one in own]),
-            measured_M=np.array([one.point.p_M for one in own]),
-            covariance_M=covariances(own, by_chance),
-            conditions=_joined([one.conditions for one in own]),
-            other=(known[0][0], np.concatenate([q for _, q in known])) if len(known) == len(own) else None,
-        )
+def points_of(found: Sequence[FoundPoint]) -> dict[str, Readings]:
+    """Return the points by arm, as a fit takes them."""
+    by_chance, points = share_of_chance(found), {}
+    for name, own in grouped((one.arm, one) for one in found).items():
+        rows = joined([reading_of(one.point, one.conditions, other_q=one.other_q) for one in own])
+        points[name] = replace(rows, covariance_M=covariances(own, by_chance))
     return points
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
-
-
-def _only(others: Mapping[str, Vector]) -> tuple[str, Array] | None:
-    """Return the other arm of a cell of two, with its joint positions (1, K) [rad]; None in other cells."""
-    return next(((name, q[None]) for name, q in others.items()), None) if len(others) == 1 else None
 
 
 def share_of_chance(found: Sequence[FoundPoint]) -> float:
@@ -393,15 +385,3 @@ def lattice(reach_m: float) -> list[Vector]:
     distance = np.linalg.norm(steps, axis=1)
     order = np.argsort(distance, kind="stable")
     return [steps[row] for row in order.tolist() if distance[row] <= reach_m]
-
-
-def _joined(rows: list[MeasurementConditions]) -> MeasurementConditions:
-    """Concatenate the conditions of single points; a condition that one of them lacks is unknown for all."""
-
-    def joined(values: Sequence[Array | NDArray[np.int8] | None]) -> Array | None:
-        known = [np.asarray(value, dtype=np.float64) for value in values if value is not None]
-        return np.concatenate(known) if len(known) == len(values) else None
-
-    names = ("approach", "step", "dwell_s", "payload_kg", "joints_c")
-    known: dict[str, Any] = {name: joined([getattr(row, name) for row in rows]) for name in names}
-    return MeasurementConditions(**known)

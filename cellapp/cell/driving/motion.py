@@ -215,6 +215,14 @@ class Mover:
             positions[name] = state.q
         return positions
 
+    def other_q(self, name: str) -> Vector | None:
+        """Return the joint positions (1, K) [rad] of the other arm than ``name`` in a cell of two; None in other cells.
+
+        Raise as ``positions``.
+        """
+        others = [q for other, q in self.positions().items() if other != name]
+        return others[0][None] if len(others) == 1 else None
+
     def rests_at(self, targets: Mapping[str, Vector]) -> bool:
         """Return whether all arms of ``targets`` (name -> (N,) [rad]) are there. Raise as ``positions``."""
         q = self.positions()

@@ -93,11 +93,6 @@ def drive_to(
         return drive(mover.homes)
 
 
-def drive_back(mover: Mover, targets: Targets, sides: Sides) -> dict[str, ArmState]:
-    """Drive arms that are near ``targets`` to them, from the given sides. Return and raise as ``drive_to``."""
-    return _drive(mover, targets, sides, *_STEPS_BACK_RAD)
-
-
 def _drive(mover: Mover, targets: Targets, sides: Sides, *steps_rad: float) -> dict[str, ArmState]:
     """Drive arms the first way that the gate accepts together with a way home, with the first step back if it can."""
     ways = [way for step_rad in steps_rad for way in _ways(targets, sides, step_rad)]
@@ -296,7 +291,7 @@ class TargetVisit:
         sides = {name: found.rounds[0][name].approach for name in names}
         each: list[Rest] = []
         for _ in range(REPEATS):
-            states |= drive_back(self.mover, {name: sent[name] for name in names}, sides)
+            states |= _drive(self.mover, {name: sent[name] for name in names}, sides, *_STEPS_BACK_RAD)
             each.append(self._measure("compensated", found, states, sent))
             if len(each[-1]) < len(sent):
                 return {}

@@ -19,8 +19,8 @@ from cellapp.cell.run.arm_cells import ArmCells
 from cellapp.cell.run.csv_text import CsvTable, Problems
 from cellapp.estimation.readings.columns import Fault
 from cellapp.ground.errors import InputError
+from cellapp.robot.kinematics.transforms import Array
 
-Array = NDArray[np.float64]
 QUATERNION = ("quat_w", "quat_x", "quat_y", "quat_z")
 _ORIENTATION_UNITS = {"": 1.0, "rad": 1.0, "deg": float(np.pi / 180.0)}
 _MOST_RAD = 4.0 * np.pi

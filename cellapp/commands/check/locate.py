@@ -7,8 +7,9 @@ import math
 import numpy as np
 
 from cellapp.cell.driving.cell_checks import noting_controllers
-from cellapp.cell.driving.locate import LocatedStation, LocateTask, locate_station
+from cellapp.cell.driving.locate import LocatedStation, locate_station
 from cellapp.cell.driving.requests import running_job
+from cellapp.cell.driving.supervision import moving_cell
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.recordings import known_readings
 from cellapp.commands.check.request import CheckRequest
@@ -58,22 +59,19 @@ def locate_run(
     """
     control, stages = work.control, read_stages(run)
     used = _stage_before_moving(run, stages)
-    task = LocateTask(
-        profile=profile_at_station(run, stages, simulated_pose),
-        model=model_of(run, used),
-        rough_T=_rough_station(run, stages, tracker_pose),
-        candidates={name: known_readings(run, name).q for name in run.profile.arms},
-        excess_m=excess_of_readings(run, model_of(run, used)),
-        points=request.most_stops,
-    )
+    profile, model = profile_at_station(run, stages, simulated_pose), model_of(run, used)
+    rough_T, excess_m = _rough_station(run, stages, tracker_pose), excess_of_readings(run, model)
+    candidates = {name: known_readings(run, name).q for name in run.profile.arms}
     notes: list[str] = []
     opened = noting_controllers(run, notes)
     with running_job(run, control, "locate"):
         confirm = confirmation(run.profile, work.ask(run.profile.name))
-        found = locate_station(task, control, confirm=confirm, opened=opened)
-        result = _result(run.profile, task, found, (*notes, *found.notes))
-        model = relocated(task.model, found.fit.T_new_old, found.fit.twists) if found.fit.explains else None
-        _store(run, used, result, model)  # before the end is reported: listeners then read the run
+        with moving_cell(profile, model, control, confirm=confirm, opened=opened, slow_visits=None) as mover:
+            found = locate_station(mover, model, rough_T, candidates, excess_m, request.most_stops)
+        control.tell("locate", len(found.found), len(found.found), "done")
+        result = _result(profile, model, found, (*notes, *found.notes))
+        moved = relocated(model, found.fit.T_new_old, found.fit.twists) if found.fit.explains else None
+        _store(run, used, result, moved)  # before the end is reported: listeners then read the run
     return result
 
 
@@ -107,13 +105,13 @@ def _rough_station(run: RunFile, stages: RunStages, tracker_pose: Pose | None) -
     return np.eye(4) if last is None else np.array(last.T_new_old)
 
 
-def _result(profile: Profile, task: LocateTask, found: LocatedStation, notes: tuple[str, ...]) -> LocateResult:
+def _result(profile: Profile, model: CellModel, found: LocatedStation, notes: tuple[str, ...]) -> LocateResult:
     fit, pose = found.fit, profile.tracker.pose
     assert pose is not None
     T_C_M = pose_matrix(pose) @ invert(fit.T_new_old)
     old_station = invert(fit.T_new_old)[:3, 3]
-    moved = displacement_m(task.model, found.points, fit.T_new_old) > profile.collection.reference.drift
-    plant = task.profile.plant
+    moved = displacement_m(model, found.points, fit.T_new_old) > profile.collection.reference.drift
+    plant = profile.plant
     placed = None if plant is None or plant.tracker_pose is None else plant.tracker_pose
     rows = {name: iter(own) for name, own in fit.residuals.items()}
     return LocateResult(
@@ -130,7 +128,7 @@ def _result(profile: Profile, task: LocateTask, found: LocatedStation, notes: tu
         probability=fit.probability,
         tracker_pose=StationPose(position=xyz_of(T_C_M[:3, 3]), rpy=rpy_of(T_C_M[:3, :3])),
         simulated_pose=None if placed is None else StationPose(position=placed.position, rpy=placed.rpy),
-        carried=all(arm.posterior is not None for arm in task.model.arms.values()),
+        carried=all(arm.posterior is not None for arm in model.arms.values()),
         points=tuple(
             LocatedPoint(
                 arm=one.arm,
@@ -141,7 +139,7 @@ def _result(profile: Profile, task: LocateTask, found: LocatedStation, notes: tu
             )
             for one in found.found
         ),
-        notes=(*notes, *_station_notes(task, found, moved=moved), *_model_notes(task.model)),
+        notes=(*notes, *_station_notes(model, found, moved=moved), *_model_notes(model)),
     )
 
 
@@ -157,13 +155,13 @@ def _store(run: RunFile, used: StoredStage, result: LocateResult, moved: CellMod
         run.log("warning" if result.verdict != "located" else "note", line)
 
 
-def _station_notes(task: LocateTask, found: LocatedStation, *, moved: bool) -> list[str]:
+def _station_notes(model: CellModel, found: LocatedStation, *, moved: bool) -> list[str]:
     """Return notes on a located station for the operator."""
     if not found.fit.explains:
         return []
     notes = [
         f"arm {name} was not measured: that its base and SMR are where they were is taken for granted"
-        for name in task.model.arms
+        for name in model.arms
         if name not in found.points
     ]
     if moved:
@@ -171,7 +169,7 @@ def _station_notes(task: LocateTask, found: LocatedStation, *, moved: bool) -> l
             "targets and work frames in the tracker's frame are taken in its new frame from now on: measure those that"
             " were measured from the old station again"
         )
-    if moved and len(task.model.arms) == 1:
+    if moved and len(model.arms) == 1:
         notes.append("one arm does not show whether the tracker was moved or its own base; the model holds either way")
     return notes
 

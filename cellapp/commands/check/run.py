@@ -12,6 +12,7 @@ from cellapp.cell.driving.cell_checks import noting_controllers
 from cellapp.cell.driving.check import DrivenCheck, MeasuredStop, check_candidates, drive_check
 from cellapp.cell.driving.measuring import FoundPoint, points_of
 from cellapp.cell.driving.requests import running_job
+from cellapp.cell.driving.supervision import moving_cell
 from cellapp.cell.driving.verification import measured_rotation
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
@@ -91,9 +92,9 @@ def check_run(run: RunFile, request: CheckRequest, work: Work, plant: Plant | No
     opened = noting_controllers(run, notes)
     with running_job(run, control, "check"):
         confirm = confirmation(run.profile, work.ask(run.profile.name))
-        driven = drive_check(
-            profile, checked.model, chosen, test.add, excess_m, control, confirm=confirm, opened=opened
-        )
+        with moving_cell(profile, checked.model, control, confirm=confirm, opened=opened) as mover:
+            driven = drive_check(mover, checked.model, chosen, test.add, excess_m)
+        control.tell("check", len(chosen), len(chosen), "done")
         result = _result(run, checked, driven, test.conclusion())
         result = result.model_copy(update={"notes": (*notes, *result.notes), "simulated": plant is not None})
         _store(run, checked, result)  # before the end is reported: listeners then read the run
@@ -136,14 +137,7 @@ def _checked(run: RunFile, rotated: Collection[str] = ()) -> _Checked:
     used, arms = stage_in_force(run, stages), arms_stage(run, stages)
     readings = {name: known_readings(run, name) for name in run.profile.arms}
     located = LocateResult.from_json(used.text, f"{run.path}: {LOCATE}") if used.name == LOCATE else None
-    belief = check_belief(
-        run.profile,
-        model_of(run, arms),
-        readings,
-        angular=rotated,
-        T_new_old=None if located is None else np.array(located.T_new_old),
-        station=None if located is None else np.array(located.covariance),
-    )
+    belief = check_belief(run.profile, model_of(run, arms), readings, angular=rotated, located=located)
     return _Checked(stages, used, arms, model_of(run, used), belief)
 
 
@@ -193,8 +187,8 @@ def _checked_stop(model: CellModel, stop: MeasuredStop) -> CheckedStop:
         points={
             name: CheckedPoint(
                 q=tuple(own.q[0].tolist()),
-                measured_M=xyz_of(own.measured_M[0]),
-                error_mm=float(np.linalg.norm(own.measured_M[0] - expected[name][0])) * 1e3,
+                measured_M=xyz_of(own.p_M[0]),
+                error_mm=float(np.linalg.norm(own.p_M[0] - expected[name][0])) * 1e3,
                 error_mrad=rotated[name],
             )
             for name, own in points.items()

@@ -146,11 +146,9 @@ def gross_errors_of_geometry(
     return its.readings_with(gross_errors(p_M - smr_positions(found.geometry, q, R_M_S), angular))
 
 
-def gross_errors_of_model(model: ArmModel, readings: Readings, conditions: MeasurementConditions) -> NDArray[np.bool_]:
+def gross_errors_of_model(model: ArmModel, its: Quantities) -> NDArray[np.bool_]:
     """Return a mask (n,) of the readings whose position or orientation is a gross error by a model."""
-    its = measured_quantities(readings, conditions)
-    computed = model.predict(its.readings.q, conditions=its.conditions)
-    return its.readings_with(gross_errors(its.readings.p_M - computed, its.angular))
+    return its.readings_with(gross_errors(its.residuals(model), its.angular))
 
 
 def without(readings: Readings, configurations: Sequence[int]) -> Readings:
@@ -537,8 +535,22 @@ def _fitted(profile: Profile, name: str, readings: Readings, *, robust: bool = F
     refuse_odd_orientations(name, nominal, readings)
     its = measured_quantities(learn)
     nominal = with_probe(nominal, its.readings.q, its.R_M_S)
-    identification, excess = _identify(profile, name, nominal, its, robust=robust)
-    return _Fitted(readings, nominal, identification, excess)
+    settings = profile.calibration
+    with refused_by_arm(name):
+        found, excess_m = identify_with_excess(
+            nominal,
+            its.readings.q,
+            its.readings.p_M,
+            R_M_S=its.R_M_S,
+            sigma=its.stated,
+            parameter_set=settings.parameter_set,
+            prior_sigma=prior_sigmas(nominal, settings.priors, arm.fixed),
+            robust=robust_loss(settings, robust=robust),
+            tool_unknown=arm.smr.offset == "unknown",
+            tolerance=settings.tolerance,
+            max_iterations=settings.max_iterations,
+        )
+    return _Fitted(readings, nominal, found, excess_m)
 
 
 def _evaluated(profile: Profile, name: str, readings: Readings, fitted: _Fitted) -> ArmCalibration:
@@ -663,27 +675,6 @@ def undetermined_offset(name: str, found: Identification) -> list[str]:
     ]
 
 
-def _identify(
-    profile: Profile, name: str, nominal: Geometry, learn: Quantities, *, robust: bool
-) -> tuple[Identification, float]:
-    """Identify one arm with the settings of the profile; return it with its excess scatter [m]."""
-    settings = profile.calibration
-    with refused_by_arm(name):
-        return identify_with_excess(
-            nominal,
-            learn.readings.q,
-            learn.readings.p_M,
-            R_M_S=learn.R_M_S,
-            sigma=learn.stated,
-            parameter_set=settings.parameter_set,
-            prior_sigma=prior_sigmas(nominal, settings.priors, profile.arms[name].fixed),
-            robust=robust_loss(settings, robust=robust),
-            tool_unknown=profile.arms[name].smr.offset == "unknown",
-            tolerance=settings.tolerance,
-            max_iterations=settings.max_iterations,
-        )
-
-
 def train_arm(profile: Profile, arm: ArmCalibration, readings: Readings, steps: JobSteps = UNTOLD) -> ArmCalibration:
     """Train an arm's residual network in the base frame; for a pair the same in the tracker frame, for comparison.
 
@@ -705,8 +696,7 @@ def train_arm(profile: Profile, arm: ArmCalibration, readings: Readings, steps: 
     rotations_net = rotation_network(profile, arm.model, measured_quantities(taught), rotations)
     arm = replace(arm, model=replace(arm.model, network=replace(arm.model.network, rotation=rotations_net)))
     its = measured_quantities(held_out)
-    errors = evaluate_quantities(its, arm.model.predict(its.readings.q, conditions=its.conditions))
-    return replace(arm, validate={**arm.validate, "network": errors})
+    return replace(arm, validate={**arm.validate, "network": evaluate_quantities(its, its.predicted(arm.model))})
 
 
 def rotation_network(profile: Profile, model: ArmModel, taught: Quantities, steps: JobSteps) -> ResidualNetwork | None:
@@ -716,8 +706,8 @@ def rotation_network(profile: Profile, model: ArmModel, taught: Quantities, step
     """
     if taught.angular is None or np.count_nonzero(taught.angular) < 2 * profile.network.folds:
         return None
-    some, conditions = taught.readings.take(taught.angular), taught.conditions.take(taught.angular)
-    return network_of_residuals(profile, model, some, -model.predict(some.q, conditions=conditions), steps)
+    some = taught.take(taught.angular)
+    return network_of_residuals(profile, model, some.readings, -some.predicted(model), steps)
 
 
 def network_of_residuals(

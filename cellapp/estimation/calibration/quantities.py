@@ -18,7 +18,7 @@ import scipy
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.records import Repeatability
-from cellapp.estimation.readings import Readings, stated_uncertainty
+from cellapp.estimation.readings import Readings, covariances_of, stated_uncertainty
 from cellapp.estimation.readings.readings import repeats
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
@@ -116,9 +116,13 @@ class Quantities:
         for first in range(0, len(self), most):
             yield self.take(np.arange(first, min(first + most, len(self)), dtype=np.intp))
 
+    def predicted(self, model: ArmModel) -> Array:
+        """Return predicted positions (m, 3) [m], and rotations from measured to computed orientations [rad]."""
+        return model.predict(self.readings.q, self.conditions)
+
     def residuals(self, model: ArmModel) -> Array:
         """Return measured less predicted positions (m, 3) [m], and rotations from computed to measured [rad]."""
-        return np.asarray(self.readings.p_M - model.predict(self.readings.q, conditions=self.conditions))
+        return np.asarray(self.readings.p_M - self.predicted(model))
 
     def readings_with(self, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return a mask (n,) of the readings that have at least one of the ``chosen`` (m,) vectors."""
@@ -163,9 +167,7 @@ def _stated(readings: Readings, of_points: Array | None, rows: NDArray[np.intp])
         of_points = np.full(len(readings), NOT_STATED)
     if of_points.ndim == of_rotations.ndim:
         return np.concatenate([of_points, of_rotations])
-    return np.concatenate(
-        [one if one.ndim == 3 else one[:, None, None] ** 2 * np.eye(3) for one in (of_points, of_rotations)]
-    )
+    return np.concatenate([covariances_of(of_points), covariances_of(of_rotations)])
 
 
 def states_nothing(stated: Array) -> bool:

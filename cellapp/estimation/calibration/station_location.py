@@ -22,6 +22,7 @@ import numpy as np
 import scipy
 
 from cellapp.estimation.calibration.least_squares import LeastSquares
+from cellapp.estimation.calibration.quantities import measurement_conditions
 from cellapp.estimation.readings import Readings
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
@@ -59,36 +60,9 @@ _REWEIGHTED = 2
 """Number of times the covariances are computed: at the start, and once more at the solution."""
 
 
-@dataclass(frozen=True, eq=False)
-class ArmPoints:
-    """Measured points of one arm.
-
-    Attributes
-    ----------
-    q : array, shape (m, N)
-        Joint positions that the controller reported [rad].
-    measured_M : array, shape (m, 3)
-        SMR positions in the present tracker frame [m].
-    covariance_M : array, shape (m, 3, 3)
-        Covariance of each measurement [m^2].
-    conditions : MeasurementConditions
-        Conditions without the state of the other arm.
-    other : tuple of name and array (m, K), or None
-        Name of the other arm in a cell of two, and its joint positions [rad].
-    """
-
-    q: Array
-    measured_M: Array
-    covariance_M: Array
-    conditions: MeasurementConditions
-    other: tuple[str, Array] | None = None
-
-    def __len__(self) -> int:
-        return len(self.q)
-
-
-Points = Mapping[str, ArmPoints]
-"""Name of an arm -> its points, at least one."""
+Points = Mapping[str, Readings]
+"""Name of an arm -> its points in the present tracker frame, at least one, each with its covariance; with the joint
+positions of the other arm in a cell of two, where known."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +120,21 @@ class StationFit:
 
 def predicted_points(model: CellModel, points: Points) -> dict[str, Array]:
     """Predict the points of each arm, (m, 3) [m] in the tracker frame of ``model``."""
-    return {name: model.arms[name].predict(own.q, conditions=_conditions(model, own)) for name, own in points.items()}
+    return {
+        name: model.arms[name].predict(own.q, beside(model, name, measurement_conditions(own), own.other_q))
+        for name, own in points.items()
+    }
+
+
+def beside(
+    model: CellModel, name: str, conditions: MeasurementConditions, other_q: Array | None
+) -> MeasurementConditions:
+    """Return conditions of an arm with the other one of two at ``other_q`` (n, K) [rad], in the frame of ``model``."""
+    if other_q is None:
+        return conditions
+    other = next(arm for one, arm in model.arms.items() if one != name)
+    moment = base_moment(other.geometry, other.bodies, other_q, other.up_M)
+    return replace(conditions, other_q=other_q, other_moment_M=moment)
 
 
 def fit_station(
@@ -182,13 +170,13 @@ def fit_station(
     NotConverged
     """
     if rough is None:
-        measured_M = np.concatenate([own.measured_M for own in points.values()] or [np.empty((0, 3))])
+        measured_M = np.concatenate([own.p_M for own in points.values()] or [np.empty((0, 3))])
         _check_layout(measured_M, "the tracker's station")
 
     def linearised(station: Array) -> tuple[Array, Array]:
         """Compute residuals (3 n,) and derivatives (3 n, 6) of the predicted coordinates, then those of the prior."""
         expected = predicted_points(relocated(model, station), points)
-        r = [(points[name].measured_M - p_M).ravel() for name, p_M in expected.items()]
+        r = [(points[name].p_M - p_M).ravel() for name, p_M in expected.items()]
         J = [twist_columns(p_M).reshape(-1, 6) for p_M in expected.values()]
         if rough is not None:
             off = station @ invert(rough.T_new_old)
@@ -235,25 +223,16 @@ def _uncertainty(model: CellModel, points: Points, excess_m: Mapping[str, float]
     noise, sampled = list[Array](), list[Array]()
     for name, own in points.items():
         arm, added = model.arms[name], np.full(len(own), excess_m[name] ** 2)
+        assert own.covariance_M is not None
         if arm.network is not None:
             added += np.mean(arm.network.spread(own.q) ** 2, axis=1)
         noise += [*(own.covariance_M + added[:, None, None] * np.eye(3))]
         moved = np.zeros((SAMPLES, len(own), 3))
         if arm.posterior is not None:
-            context = arm.context(own.q, conditions=_conditions(model, own))
+            context = arm.context(own.q, beside(model, name, measurement_conditions(own), own.other_q))
             moved = arm.posterior.displacements(arm.geometry, arm.effects, context)
         sampled.append(moved.reshape(len(moved), -1))
     return np.asarray(scipy.linalg.block_diag(*noise), dtype=np.float64), np.concatenate(sampled, axis=1)
-
-
-def _conditions(model: CellModel, own: ArmPoints) -> MeasurementConditions:
-    """Return the conditions with the state of the other arm in the frame of ``model``."""
-    if own.other is None:
-        return own.conditions
-    name, q = own.other
-    other = model.arms[name]
-    moment = base_moment(other.geometry, other.bodies, q, other.up_M)
-    return replace(own.conditions, other_q=q, other_moment_M=moment)
 
 
 def _check_layout(points: Array, fixed: str, frame: str = "") -> None:

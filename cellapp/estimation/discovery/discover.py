@@ -143,7 +143,7 @@ def discover_arm(
         prior_sigma = prior_sigmas(arm.model.nominal, arm.profile.calibration.priors, arm.profile.arms[arm.name].fixed)
     found = search_rows(right.take(right.readings.in_split("identify", "train")), steps, prior_sigma)
     left_out = tuple(sorted({*arm.readings.configuration[wrong].tolist(), *found.left_out}))
-    held_out = HeldOut.of(right.readings, right.conditions)
+    held_out = HeldOut.of(right)
     result = _judged_by_held_out(replace(found, left_out=left_out), held_out)
     return _evaluated(arm, result, held_out, started)
 
@@ -284,15 +284,14 @@ def search_rows(arm: ArmReadings, steps: JobSteps = UNTOLD, prior_sigma: Mapping
         data = data.claiming(found.claim)
         result = _fitted_to_all(found, data, steps)
         fitted = some if result.only_some else every  # others may be far off because they were not fitted
-        its = arm.take(fitted)
-        wrong = fitted[gross_errors_of_model(result.model, its.readings, its.conditions)]
+        wrong = fitted[gross_errors_of_model(result.model, arm.take(fitted).quantities())]
         if not len(wrong):
             break
         gross[wrong] = True
     if found is not None and result.fitted is not None and not result.only_some:
         by_search = Searched.of_search(found, data, "the fit to all predicts those that were not searched worse")
-        further = arm.take(np.setdiff1d(every, some))
-        if HeldOut(further.readings, further.conditions).predicts_worse(result.model, by_search.model):
+        further = HeldOut(arm.take(np.setdiff1d(every, some)).quantities())
+        if further.predicts_worse(result.model, by_search.model):
             result = by_search
     return replace(result, left_out=tuple(arm.readings.configuration[gross].tolist()))
 
@@ -400,6 +399,6 @@ def with_network(arm: ArmReadings, discovery: ArmFound, steps: JobSteps = UNTOLD
     if network is None:
         return discovery
     network = replace(network, rotation=rotation_network(arm.profile, discovery.model, learnt.quantities(), steps))
-    model, held_out = replace(discovery.model, network=network), HeldOut.of(arm.readings, arm.conditions)
+    model, held_out = replace(discovery.model, network=network), HeldOut.of(arm)
     step = GapStep(what="a network for the rest", effect="", heldout_mm=held_out.position_mm(model).rms)
     return discovery.with_model(model, held_out, steps=(*discovery.result.steps, step))

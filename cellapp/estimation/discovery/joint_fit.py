@@ -43,7 +43,7 @@ from cellapp.estimation.discovery.arm_data import (
     whitened_displacements,
     whitening,
 )
-from cellapp.estimation.readings.readings import folds_of
+from cellapp.estimation.readings.readings import covariances_of, folds_of
 from cellapp.robot.effects import EFFECTS, EffectColumn, EffectTerm, Law
 from cellapp.robot.kinematics.chain import Geometry, JointAngles, joint_jacobian
 from cellapp.robot.kinematics.transforms import Array
@@ -549,8 +549,9 @@ def uncertainty_with_scatter(data: ArmData, scatter: Excess) -> Array:
     if not any(scatter.joints):
         return sigma
     by_joint = joint_motions(data)
-    covariance = sigma[:, None, None] ** 2 * np.eye(3) if sigma.ndim == 1 else sigma
-    return np.asarray(covariance + np.einsum("j,ajn,bjn->nab", np.square(scatter.joints), by_joint, by_joint))
+    return np.asarray(
+        covariances_of(sigma) + np.einsum("j,ajn,bjn->nab", np.square(scatter.joints), by_joint, by_joint)
+    )
 
 
 def joint_motions(data: ArmData) -> Array:

@@ -12,12 +12,7 @@ import numpy as np
 
 from cellapp.estimation.calibration.calibrate import rms_length_mm
 from cellapp.estimation.calibration.pair_calibration import PairCalibration
-from cellapp.estimation.calibration.quantities import (
-    Quantities,
-    evaluate_quantities,
-    measured_quantities,
-    position_errors,
-)
+from cellapp.estimation.calibration.quantities import ArmReadings, Quantities, evaluate_quantities, position_errors
 from cellapp.estimation.discovery.records import (
     ArmDiscoveryResult,
     BeforeAfter,
@@ -25,9 +20,9 @@ from cellapp.estimation.discovery.records import (
     HeldOutPosition,
     PredictedUncertainty,
 )
-from cellapp.estimation.readings import Readings, stated_uncertainty
+from cellapp.estimation.readings import stated_uncertainty
 from cellapp.ground.results import StageErrors
-from cellapp.robot.effects import EffectTerm, MeasurementConditions
+from cellapp.robot.effects import EffectTerm
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel, CellModel
 
@@ -37,21 +32,24 @@ _SAMPLING_ERRORS = 2.5
 """Standard errors of the mean difference of squares beyond which a model predicts worse: a probability of 0.6 %."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class HeldOut:
-    """Held-out readings of one arm and their measurement conditions."""
+    """Held-out readings of one arm."""
 
-    readings: Readings
-    conditions: MeasurementConditions
+    measured: Quantities
 
     @classmethod
-    def of(cls, readings: Readings, conditions: MeasurementConditions) -> HeldOut:
+    def of(cls, arm: ArmReadings) -> HeldOut:
         """Take the validate split."""
-        rows = readings.in_split("validate")
-        return cls(readings.take(rows), conditions.take(rows))
+        return cls(arm.take(arm.readings.in_split("validate")).quantities())
+
+    @cached_property
+    def points(self) -> Quantities:
+        """The positions among them: one of each reading."""
+        return self.measured.positions
 
     def __len__(self) -> int:
-        return len(self.readings)
+        return len(self.points)
 
     def rms_mm(self, model: ArmModel) -> float:
         """Return the rms position error of a model [mm]."""
@@ -68,17 +66,13 @@ class HeldOut:
 
     def errors_m(self, model: ArmModel) -> Array:
         """Return the position errors (n,) of a model [m]."""
-        computed = model.predict(self.readings.q, conditions=self.conditions)
-        return position_errors(self.readings.p_M, computed)
+        return position_errors(self.points.readings.p_M, self.points.predicted(model))
 
     def orientation_mrad(self, model: ArmModel) -> HeldOutPosition | None:
         """Return statistics of the orientation error of a model [mrad]; None if no orientation was measured."""
-        its = self._quantities
-        if its.angular is None:
+        if (angular := self.measured.angular) is None:
             return None
-        rows = np.flatnonzero(its.angular)
-        rotations = model.predict(its.readings.q[rows], conditions=its.conditions.take(rows))
-        return _statistics(np.linalg.norm(rotations, axis=1) * 1e3)
+        return _statistics(np.linalg.norm(self.measured.take(angular).predicted(model), axis=1) * 1e3)
 
     def rotations_before_after(self, before: ArmModel, after: ArmModel) -> HeldOutBeforeAfter | None:
         """Return ``orientation_mrad`` of two models; None if no orientation was measured."""
@@ -87,23 +81,18 @@ class HeldOut:
             return None
         return HeldOutBeforeAfter(before=errors[0], after=errors[1])
 
-    @cached_property
-    def _quantities(self) -> Quantities:
-        return measured_quantities(self.readings, self.conditions)
-
     def evaluate(self, model: ArmModel) -> StageErrors:
         """Return the position, orientation and distance errors of a model."""
-        its = self._quantities
-        return evaluate_quantities(its, model.predict(its.readings.q, conditions=its.conditions))
+        return evaluate_quantities(self.measured, self.measured.predicted(model))
 
     def noise_floor_mm(self) -> float:
         """Return the rms length of the stated noise [mm]; NaN if the readings state none."""
-        sigma = stated_uncertainty(self.readings)
+        sigma = stated_uncertainty(self.points.readings)
         return math.nan if sigma is None else rms_length_mm(sigma)
 
     def predicted_uncertainty_mm(self, model: ArmModel) -> PredictedUncertainty | None:
         """Return the median and largest uncertainty that a model predicts here [mm]; None if it predicts none."""
-        predicted = model.uncertainty(self.readings.q, self.conditions)
+        predicted = model.uncertainty(self.points.readings.q, self.points.conditions)
         if not predicted.any():
             return None
         return PredictedUncertainty(median=float(np.median(predicted)) * 1e3, largest=float(predicted.max()) * 1e3)

@@ -28,6 +28,7 @@ from cellapp.estimation.discovery.joint_fit import (
     uncertainty_with_scatter,
 )
 from cellapp.estimation.discovery.search.state import SCORE_MARGIN
+from cellapp.estimation.readings import covariances_of
 from cellapp.robot.effects import EFFECTS, EffectColumn, Law, LawForm
 from cellapp.robot.effects.data_driven import FIELD, box_of, field_frequencies, field_variances, position_in_base
 from cellapp.robot.effects.law import AMPLITUDE, CYCLES, LENGTH, LengthRange, SmoothLaw, circle_variances
@@ -585,7 +586,7 @@ def _noise(data: ArmData, fit: JointFit, process: StructuredProcess) -> Excess:
     angular = np.zeros(len(data), dtype=np.bool_) if data.angular is None else data.angular
     kinds = [np.where(rows[:, None, None], eye, 0.0) for rows in (~angular, angular)]
     if data.stated is not None:
-        kinds.append(data.stated if data.stated.ndim == 3 else data.stated[:, None, None] ** 2 * eye)
+        kinds.append(covariances_of(data.stated))
     by_joint = joint_motions(data)
     seen = _with_lever(by_joint)
     D = np.array([*kinds, *(by_joint[:, j].T[:, :, None] * by_joint[:, j].T[:, None] for j in seen)])

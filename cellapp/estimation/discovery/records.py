@@ -10,8 +10,8 @@ from pydantic import AliasChoices, BeforeValidator, Field
 
 from cellapp.estimation.calibration.records import CalibrateResult, PairMethodResult
 from cellapp.ground.results import Estimate, Method, Record, Result, Stage, StageErrors, Verdict
+from cellapp.robot.effects.effect import SizeSource
 
-SizeSource = Literal["sourced", "computed", "estimate", "none"]
 StructureKind = Literal["joints", "order", "time", "approach", "position", "tracker"]
 
 

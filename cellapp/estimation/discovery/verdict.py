@@ -64,7 +64,7 @@ def residual_structure(data: ArmData, fit: JointFit) -> RemainingStructure:
     Each kind has several tests; its p-value is the smallest times their number (Bonferroni), at most 1.
     """
     if len(data) < _LEAST_READINGS:
-        return remaining_structure({}, CHANCE)
+        return remaining_structure({})
     found: dict[StructureKind, list[float]] = {}
     every = np.ones(len(data), dtype=np.bool_)
     for rows in (every,) if data.angular is None else (~data.angular, data.angular):
@@ -82,7 +82,7 @@ def residual_structure(data: ArmData, fit: JointFit) -> RemainingStructure:
         for kind, test in kinds.items():
             found.setdefault(kind, []).extend(test())
     p_values = {kind: min(min(own) * len(own), 1.0) for kind, own in found.items() if own}
-    return remaining_structure(p_values, CHANCE)
+    return remaining_structure(p_values)
 
 
 def has_structure(found: RemainingStructure) -> bool:
@@ -281,16 +281,16 @@ _KIND_WORDS: Mapping[StructureKind, str] = {
 }
 
 
-def remaining_structure(p_values: Mapping[StructureKind, float], chance: float) -> RemainingStructure:
+def remaining_structure(p_values: Mapping[StructureKind, float]) -> RemainingStructure:
     """Return the tests of the residuals and their outcome in words.
 
-    Structure is reported if a p-value is at most ``chance`` divided by the number of tests (Bonferroni). The
-    probability that pure noise is reported as structure is then at most ``chance``.
+    Structure is reported if a p-value is at most ``CHANCE`` divided by the number of tests (Bonferroni). The
+    probability that pure noise is reported as structure is then at most ``CHANCE``.
     """
     tests = tuple(StructureTest(against=kind, p_value=p) for kind, p in p_values.items())
     if not tests:
         return RemainingStructure(tests=(), sentence="the residuals were not tested for structure")
-    found = [test for test in tests if test.p_value <= chance / len(tests)]
+    found = [test for test in tests if test.p_value <= CHANCE / len(tests)]
     if found:
         words = enumeration([f"{_KIND_WORDS[test.against]} ({_p_in_words(test.p_value)})" for test in found])
         return RemainingStructure(tests=tests, sentence=f"the residuals still depend on {words}")

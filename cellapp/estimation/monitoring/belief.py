@@ -15,9 +15,10 @@ from cellapp.estimation.calibration.least_squares import excess_variance, mean_v
 from cellapp.estimation.calibration.parameters import ParameterSet
 from cellapp.estimation.calibration.quantities import ArmReadings, Quantities, measured_quantities, states_nothing
 from cellapp.estimation.discovery.prior_fit import Posterior, design
+from cellapp.estimation.monitoring.records import LocateResult
 from cellapp.estimation.prior.belief import is_smooth
 from cellapp.estimation.prior.calibrate import calibration_posterior
-from cellapp.estimation.readings import Readings
+from cellapp.estimation.readings import Readings, covariances_of
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import EFFECTS, EffectTerm, InputVariable, MeasurementConditions
@@ -210,8 +211,7 @@ def check_belief(
     readings: Mapping[str, Readings],
     *,
     angular: Collection[str] = (),
-    T_new_old: Array | None = None,
-    station: Array | None = None,
+    located: LocateResult | None = None,
 ) -> CheckBelief:
     """Build the belief of a check from a calibration.
 
@@ -224,10 +224,8 @@ def check_belief(
         Arm -> the readings that it was calibrated from, of all splits.
     angular : collection of str
         Arms of which the check measures orientation too; used if the calibration measured it.
-    T_new_old : array, shape (4, 4), optional
-        Maps coordinates of the tracker's frame into that of the station where it was located since.
-    station : array, shape (6, 6), optional
-        Covariance of that station, see ``CheckBelief``.
+    located : LocateResult, optional
+        Station where the tracker was located since.
 
     Raises
     ------
@@ -244,9 +242,10 @@ def check_belief(
     for name, arm in ArmReadings.of_cell(profile, model.arms, own).items():
         watched = watching(replace(arm.model, network=None), arm.quantities())
         arms[name] = arm_belief(*calibration_posterior(replace(arm, model=watched)))
-    if T_new_old is not None:
-        arms = {name: _relocated(arm, T_new_old) for name, arm in arms.items()}
-    return CheckBelief(arms, station)
+    if located is None:
+        return CheckBelief(arms)
+    relocated_arms = {name: _relocated(arm, np.array(located.T_new_old)) for name, arm in arms.items()}
+    return CheckBelief(relocated_arms, np.array(located.covariance))
 
 
 def watching(model: ArmModel, measured: Quantities) -> ArmModel:
@@ -293,7 +292,7 @@ def _scatter(found: Posterior, promised: Array, rows: NDArray[np.bool_], arm: fl
     of its fitted value, the reading left out has the residual R (R - P)^-1 r, with covariance R (R - P)^-1 R.
     """
     sigma = found.measured.sigma[rows]
-    R = sigma if sigma.ndim == 3 else sigma[:, None, None] ** 2 * np.eye(3)
+    R = covariances_of(sigma)
     gain = R @ np.linalg.inv((1.0 + _INTERPOLATED) * R - promised[rows])
     excess = excess_variance(np.einsum("nab,nb->na", gain, found.residuals_M[rows]), gain @ R, 3 * len(R))
     return KnownSd(math.sqrt(mean_variance(sigma) + excess), math.sqrt(arm**2 + excess))
@@ -304,8 +303,7 @@ def _day_m(model: ArmModel, measured: Quantities) -> float:
     rest = replace(model, effects=tuple(term for term in model.effects if not _is_of_day(term)))
     if len(rest.effects) == len(model.effects):
         return 0.0
-    q, conditions = measured.readings.q, measured.conditions
-    moved = model.predict(q, conditions=conditions) - rest.predict(q, conditions=conditions)
+    moved = measured.predicted(model) - measured.predicted(rest)
     return float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))
 
 
@@ -334,11 +332,10 @@ def noise_covariance(arm: ArmBelief, measured: Quantities, again: Array) -> Arra
         stated = None if measured.stated is None else measured.stated[rows]
         if stated is None or states_nothing(stated):
             stated = np.full(int(rows.sum()), math.sqrt(scatter.whole**2 - scatter.arm**2))
-        blocks = stated[:, None, None] ** 2 * np.eye(3) if stated.ndim == 1 else stated
         mean = float(np.mean(np.trace(arm.levers[known], axis1=1, axis2=2))) / 3.0
         squares, axes = np.linalg.eigh(levers[rows] / mean)
         squares = np.maximum(squares, 1.0) * scatter.beyond_tracker(again[rows])[:, None]
-        whole[rows] = blocks + np.einsum("nab,nb,ncb->nac", axes, squares, axes)
+        whole[rows] = covariances_of(stated) + np.einsum("nab,nb,ncb->nac", axes, squares, axes)
     return whole
 
 

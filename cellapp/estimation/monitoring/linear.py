@@ -229,9 +229,7 @@ def stop_rows(belief: CheckBelief, readings: Mapping[str, Readings], directions:
     vectors = {name: measured_vectors(belief.arms[name], readings[name], conditions[name]) for name in names}
     arm_of = np.concatenate([np.full(len(vectors[name]), list(belief.arms).index(name)) for name in names])
     places = np.concatenate([vectors[name].readings.configuration for name in names])
-    p_M = np.concatenate(
-        [belief.arms[name].model.predict(its.readings.q, conditions=its.conditions) for name, its in vectors.items()]
-    )
+    p_M = np.concatenate([its.predicted(belief.arms[name].model) for name, its in vectors.items()])
     angular = np.concatenate([~its.points for its in vectors.values()])
     total = 3 * len(places)
     station = twists(p_M - centre_of(belief), angular).reshape(total, 6).T
@@ -342,7 +340,7 @@ def motions(belief: CheckBelief, name: str, measured: Quantities, directions: Se
     """Compute the motion (C, n, 3) [m, rad] of n measured vectors of an arm by one step of each direction."""
     arm = belief.arms[name]
     X = design(arm.model, measured, arm.columns).reshape(-1, 3, len(measured)).transpose(0, 2, 1)
-    p_M = arm.model.predict(measured.readings.q, conditions=measured.conditions)
+    p_M = measured.predicted(arm.model)
     station = twists(p_M - centre_of(belief), ~measured.points).transpose(2, 0, 1)
     return _moved(directions, name, X, station)
 

@@ -366,9 +366,7 @@ class SearchWithRecordings:
         motion, result = self._in_motion(arm, steps)
         calibrated = self.calibrated[arm.name]
         own = self._at_rest(arm, motion, motion.joints_with_history)
-        held_out, of_others = (
-            HeldOut.of(its.readings, its.conditions) for its in (own, self._at_rest(arm, motion, motion.joints_at_rest))
-        )
+        held_out, of_others = map(HeldOut.of, (own, self._at_rest(arm, motion, motion.joints_at_rest)))
         found = None
         if motion.at_rest and len(held_out):
             error_mm, before = held_out.rms_mm(own.model), of_others.position_mm(calibrated)

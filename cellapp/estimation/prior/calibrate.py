@@ -73,7 +73,7 @@ def calibration_posterior(
     arm: ArmReadings, before: Belief | None = None, since: str = ""
 ) -> tuple[Posterior, Quantities]:
     """Return the posterior of one calibrated arm from all its readings, and these without gross errors."""
-    arm = arm.take(~gross_errors_of_model(arm.model, arm.readings, arm.conditions))
+    arm = arm.take(~gross_errors_of_model(arm.model, arm.quantities()))
     model = replace(arm.model, network=None, posterior=None)
     measured = arm.quantities()
     if measured.angular is None:
@@ -131,8 +131,9 @@ def calibrate_with_prior(
 def learned(arm: ArmReadings, earlier: Earlier) -> ArmReadings:
     """Return the training readings: the identify and train splits without gross errors."""
     some = arm.take(arm.readings.in_split("identify", "train"))
-    model = first_model(arm.profile, arm.name, some.quantities(), earlier.belief)
-    return some.take(~gross_errors_of_model(model, some.readings, some.conditions))
+    measured = some.quantities()
+    model = first_model(arm.profile, arm.name, measured, earlier.belief)
+    return some.take(~gross_errors_of_model(model, measured))
 
 
 def updated_arm(arm: ArmReadings, earlier: Earlier) -> Updated:
@@ -147,12 +148,11 @@ def _calibrated(arm: ArmReadings, alone: ArmCalibration, earlier: Earlier) -> Ar
     model = stated_model(outcome.found, arm.profile.seed)
     rows = arm.readings.in_split("validate")
     held_out = arm.take(rows[~np.isin(arm.readings.configuration[rows], alone.left_out)]).quantities()
-    computed = model.predict(held_out.readings.q, conditions=held_out.conditions)
     return replace(
         alone,
         model=model,
         identification=_identification(arm.profile, alone.identification, outcome.found),
-        validate={**alone.validate, "effects": evaluate_quantities(held_out, computed)},
+        validate={**alone.validate, "effects": evaluate_quantities(held_out, held_out.predicted(model))},
         prior=prior_result(arm.name, earlier, outcome),
     )
 
@@ -267,7 +267,7 @@ class SearchWithPriors:
                 final = model
                 break
             final = stated_model(update(learn, its.belief, its.since, terms).found, arm.profile.seed)
-        held_out = HeldOut.of(arm.readings, arm.conditions)
+        held_out = HeldOut.of(arm)
         sentence = f"{found.result.sentence}; {since_words(its, found)}"
         uncertainty_mm = held_out.predicted_uncertainty_mm(final)
         return found.with_model(final, held_out, sentence=sentence, uncertainty_mm=uncertainty_mm)

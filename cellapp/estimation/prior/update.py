@@ -22,6 +22,7 @@ from cellapp.estimation.calibration.quantities import ArmReadings, Quantities, w
 from cellapp.estimation.calibration.records import PartDrift, SignatureChange, SignaturePart
 from cellapp.estimation.discovery.prior_fit import Posterior, design, posterior, term_columns
 from cellapp.estimation.prior.belief import Belief, is_own, sizes
+from cellapp.estimation.readings import covariances_of
 from cellapp.ground.counting import plain
 from cellapp.ground.errors import NotConverged
 from cellapp.ground.grouping import grouped
@@ -417,9 +418,8 @@ def _covariance_matrix(stated: Array | None, count: int) -> Array:
     """Return the stated uncertainty as a matrix (3 n, 3 n) [m^2], coordinates first."""
     whole = np.zeros((3, count, 3, count))
     if stated is not None:
-        blocks = stated[:, None, None] ** 2 * np.eye(3) if stated.ndim == 1 else stated
         rows = np.arange(count)
-        whole[:, rows, :, rows] = blocks
+        whole[:, rows, :, rows] = covariances_of(stated)
     return whole.reshape(3 * count, 3 * count)
 
 

@@ -6,7 +6,7 @@ A held-out row that stands beside a learnt one tests only the noise.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
 
@@ -21,7 +21,6 @@ from cellapp.robot.kinematics.transforms import Array, quaternions_of, twist_col
 
 FIRST_SAMPLE = 1_000_000_000
 """Configuration numbers from here on belong to samples of recordings: no plan has as many stops."""
-_Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -83,28 +82,28 @@ class Readings:
     """
 
     configuration: NDArray[np.int64]
-    time_s: _Floats
-    q: _Floats
+    time_s: Array
+    q: Array
     approach: NDArray[np.int8]
-    p_M: _Floats
-    sequence: _Floats | None = None
-    payload_kg: _Floats | None = None
-    temperature_c: _Floats | None = None
-    joint_temperature_c: _Floats | None = None
-    step: _Floats | None = None
-    dwell_s: _Floats | None = None
-    covariance_M: _Floats | None = None
-    sigma_m: _Floats | None = None
-    payload_center_F: _Floats | None = None
-    quaternion_M: _Floats | None = None
-    sigma_rad: _Floats | None = None
-    rotation_covariance_M: _Floats | None = None
+    p_M: Array
+    sequence: Array | None = None
+    payload_kg: Array | None = None
+    temperature_c: Array | None = None
+    joint_temperature_c: Array | None = None
+    step: Array | None = None
+    dwell_s: Array | None = None
+    covariance_M: Array | None = None
+    sigma_m: Array | None = None
+    payload_center_F: Array | None = None
+    quaternion_M: Array | None = None
+    sigma_rad: Array | None = None
+    rotation_covariance_M: Array | None = None
     smr: tuple[str | None, ...] | None = None
     station: tuple[str | None, ...] | None = None
     point: tuple[str | None, ...] | None = None
-    other_q: _Floats | None = None
+    other_q: Array | None = None
     split: tuple[str | None, ...] | None = None
-    q_spread: _Floats | None = None
+    q_spread: Array | None = None
     extras: dict[str, tuple[str, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -157,22 +156,13 @@ class Readings:
     def take(self, indices: Sequence[int] | NDArray[np.integer] | NDArray[np.bool_]) -> Readings:
         """Return the rows at ``indices`` (integers, or a mask of n booleans), in that order."""
         chosen = np.arange(len(self))[np.asarray(indices, dtype=None if len(indices) else np.intp)]
-        arrays = {
-            entry.name: getattr(self, entry.name)[chosen]
-            for entry in fields(self)
-            if isinstance(getattr(self, entry.name), np.ndarray)
-        }
-        words: dict[str, Any] = {
-            column.name: tuple(getattr(self, column.name)[index] for index in chosen)
-            for column in COLUMNS
-            if column.dtype is str and getattr(self, column.name) is not None
-        }
-        return replace(
-            self,
-            **arrays,
-            **words,
-            extras={name: tuple(texts[index] for index in chosen) for name, texts in self.extras.items()},
-        )
+
+        def taken(column: Any) -> Any:
+            return column[chosen] if isinstance(column, np.ndarray) else tuple(column[row] for row in chosen)
+
+        extras = {name: taken(texts) for name, texts in self.extras.items()}
+        columns = {name: taken(its) for name, its in vars(self).items() if isinstance(its, np.ndarray | tuple)}
+        return replace(self, **columns, extras=extras)
 
     def in_split(self, *names: str) -> NDArray[np.intp]:
         """Return the indices of the rows of some splits, one split after the other; empty if none are assigned."""
@@ -217,7 +207,7 @@ def _stacked(arrays: Sequence[NDArray[Any] | None], shapes: Sequence[tuple[int, 
     )
 
 
-def stated_uncertainty(readings: Readings) -> _Floats | None:
+def stated_uncertainty(readings: Readings) -> Array | None:
     """Return the uncertainty that the readings state for their points, if all of them do.
 
     Return covariances (n, 3, 3) [m^2] if every reading has one, else standard uncertainties (n,) [m], else None.
@@ -228,7 +218,12 @@ def stated_uncertainty(readings: Readings) -> _Floats | None:
     return None
 
 
-def coordinate_uncertainty(readings: Readings) -> _Floats | None:
+def covariances_of(sigma: Array) -> Array:
+    """Return covariances (n, 3, 3) [m^2]: ``sigma`` itself, or of standard uncertainties (n,) [m]."""
+    return sigma if sigma.ndim == 3 else sigma[:, None, None] ** 2 * np.eye(3)
+
+
+def coordinate_uncertainty(readings: Readings) -> Array | None:
     """Return the standard uncertainty (n,) [m] of a coordinate by ``stated_uncertainty``; rms of a covariance's three.
 
     None where that is None.
@@ -262,11 +257,8 @@ _OUTLYING, _LEAST_M = 8.0, 1e-6
 _USUAL_NOISE_M = 1e-5
 """Noise of a coordinate where neither the readings state one nor the figure shows it."""
 
-Fault = tuple[int, str, str]
-"""Row, column and text of a contradiction."""
 
-
-def lost_points(q: _Floats, p_M: _Floats) -> dict[int, str]:
+def lost_points(q: Array, p_M: Array) -> dict[int, str]:
     """Return row -> what it holds, of rows without a point: trackers write zeros, or an earlier point, for a lost beam.
 
     Fewer than ``_FEWEST`` rows do not show it, and units do not matter: ``q`` (n, N), ``p_M`` (n, 3).
@@ -286,7 +278,7 @@ def smr_names(readings: Readings) -> tuple[str, ...]:
     return tuple(dict.fromkeys(word or "" for word in readings.smr or ()))
 
 
-def one_pose_a_stop(readings: Readings) -> tuple[Readings, str, list[Fault]]:
+def one_pose_a_stop(readings: Readings) -> tuple[Readings, str, list[tuple[int, str, str]]]:
     """Make of the SMRs at each stop one reading: the first one's position, and the rotation of a frame S of all.
 
     S has its origin at the first SMR; x points to the second, y to the side of the one furthest from that line. A stop
@@ -303,7 +295,7 @@ def one_pose_a_stop(readings: Readings) -> tuple[Readings, str, list[Fault]]:
         One row a stop, in the order of the stops.
     sentence : str
         What was made.
-    faults : list of Fault
+    faults : list of row, column and text
         Contradictions; the readings are not to be used if there are any.
     """
     names = smr_names(readings)
@@ -342,7 +334,7 @@ def one_pose_a_stop(readings: Readings) -> tuple[Readings, str, list[Fault]]:
     return one.take(np.flatnonzero(kept)), sentence, faults
 
 
-def _not_one_stop(rows: Readings, first: NDArray[np.intp]) -> Iterator[Fault]:
+def _not_one_stop(rows: Readings, first: NDArray[np.intp]) -> Iterator[tuple[int, str, str]]:
     """Yield rows whose joints or split differ from those of the ``first`` (n,) row of their stop, one of each kind."""
     apart = np.abs(rows.q - rows.q[first])
     for row in np.flatnonzero(apart.max(axis=1) > _SAME_STOP_RAD)[:1].tolist():
@@ -463,7 +455,7 @@ def _with_poses(
 def _covariances(readings: Readings) -> Array | None:
     """Return a copy of the stated covariances (n, 3, 3) [m^2] of all readings; None if one has none."""
     stated = stated_uncertainty(readings)
-    return None if stated is None else stated.copy() if stated.ndim == 3 else stated[:, None, None] ** 2 * np.eye(3)
+    return None if stated is None else covariances_of(stated).copy()
 
 
 # -- Rows that no split may divide ------------------------------------------------------------------------------------

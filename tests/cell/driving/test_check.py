@@ -16,6 +16,7 @@ import pytest
 from cellapp.cell.driving.cell import Cell, open_cell
 from cellapp.cell.driving.check import DrivenCheck, check_candidates, drive_check
 from cellapp.cell.driving.locate import LocatingStops
+from cellapp.cell.driving.supervision import moving_cell
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.safety.gate import refuse_motion
@@ -79,9 +80,11 @@ def task(finished_run: Path) -> Task:
         return Task(run.profile, model, stops, excess_of_readings(run, model))
 
 
-def driven(task: Task, test: Fed, open_with: Opened = open_cell, **options: Any) -> DrivenCheck:
-    with opened_by(open_with):
-        return drive_check(*task[:3], test.add, task.excess_m, **{"control": JobControl(), **options})
+def driven(
+    task: Task, test: Fed, open_with: Opened = open_cell, control: JobControl | None = None, **options: Any
+) -> DrivenCheck:
+    with opened_by(open_with), moving_cell(*task[:2], control or JobControl(), **options) as mover:
+        return drive_check(mover, *task[1:3], test.add, task.excess_m)
 
 
 @contextmanager
@@ -107,7 +110,7 @@ def test_it_ends_when_the_test_is_sure(task: Task) -> None:
     test = Fed(sure_after=3)
     found = driven(task, test, control=JobControl(events.append))
     assert (len(found.stops), len(test.stops), found.lost, found.notes) == (3, 3, [], [])
-    assert [event.done for event in events if event.job == "check"] == [0, 0, 1, 2, 6]
+    assert [event.done for event in events if event.job == "check"] == [0, 0, 1, 2]
     assert repr(events[0].detail).startswith("Notice(text='takes at most about ")
     times = [stop.time_s for stop in found.stops]
     assert times == sorted(times)
@@ -122,8 +125,7 @@ def test_where_the_gate_refuses_both_each_arm_goes_alone(task: Task) -> None:
     numbers = [next(iter(stop.values())).configuration[0] for stop in test.stops]
     assert numbers == [0, 1, 2, 3], "they did not stand there together"
     homes = home_positions(task.profile)
-    beside = found.stops[0].found["left"].others["right"]
-    np.testing.assert_allclose(beside, homes["right"], atol=1e-6)
+    np.testing.assert_allclose(np.array(found.stops[0].found["left"].other_q), [homes["right"]], atol=1e-6)
 
 
 def test_an_arm_that_cannot_go_anywhere_is_noted(task: Task) -> None:
@@ -150,7 +152,7 @@ def test_a_lost_smr_is_given_up_after_some_stops_and_the_other_arm_goes_on(task:
     assert [list(stop) for stop in test.stops] == [["left", "right"]] * 2 + [["left"]] * 4
     assert sum("no SMR within" in note for note in found.notes) == 3
     # arms at home from then on
-    assert found.stops[-1].found["left"].others["right"] == pytest.approx(home_positions(task.profile)["right"])
+    assert found.stops[-1].found["left"].other_q == pytest.approx(home_positions(task.profile)["right"][None])
 
 
 def test_readings_without_common_stops_are_paired(task: Task, finished_run: Path) -> None:

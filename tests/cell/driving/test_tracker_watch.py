@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from cellapp.cell.driving.live_model import Suspicions
-from cellapp.cell.driving.measuring import reference_jumps
+from cellapp.cell.driving.measuring import ReferenceSmr, reference_jumps
 from cellapp.cell.driving.tracker_watch import TrackerMonitor, unwatched
 from cellapp.estimation.calibration.online import OnlineFit
 from cellapp.ground.progress import Suspicion
@@ -286,11 +286,14 @@ HOMES = {"arm left": np.array([3.0, 1.0, 0.0]), "arm right": np.array([3.0, -1.0
 def references(*shifts: Mapping[str, float]) -> list[list[tuple[str, str | None]]]:
     """Kind and arm of what is raised at each reference measurement; shifts [m] of references from their places."""
     found: list[list[tuple[str, str | None]]] = []
-    before: dict[str, np.ndarray] = {}
+    before: dict[ReferenceSmr, np.ndarray] = {}
     for shift in shifts:
         points = {name: p + np.array([0.0, 0.0, shift.get(name, 0.0)]) for name, p in (NESTS | HOMES).items()}
-        found.append([(one.kind, one.arm) for one in reference_jumps(before, points, 100e-6)])
-        before = points
+        named = {
+            ReferenceSmr("nest" if one in NESTS else "arm", one.removeprefix("arm ")): p for one, p in points.items()
+        }
+        found.append([(one.kind, one.arm) for one in reference_jumps(before, named, 100e-6)])
+        before = named
     return found
 
 

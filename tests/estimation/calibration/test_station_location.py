@@ -17,7 +17,6 @@ from cellapp.estimation.calibration.identification import TooFewReadings, identi
 from cellapp.estimation.calibration.least_squares import LeastSquares
 from cellapp.estimation.calibration.pair_calibration import distances, identify_pair
 from cellapp.estimation.calibration.station_location import (
-    ArmPoints,
     NestPoint,
     TooFewNests,
     base_from_points,
@@ -25,13 +24,13 @@ from cellapp.estimation.calibration.station_location import (
     tie_stations,
 )
 from cellapp.ground.errors import InputError, NotConverged
-from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.kinematics.statics import Bodies
 from cellapp.robot.kinematics.transforms import apply, invert, rotation_from_vector, rotation_vectors, transform
 from cellapp.robot.model import ArmModel, CellModel
 from cellapp.robot.model.model import PosteriorSamples, ReadingsNoise, relocated
 from tests.arms import OFF_AXIS, SEVEN, UR5_CENTERS, UR5_MASSES, UR10, at_station, true_geometry
+from tests.series import readings_at
 
 SIGMA_M = 20e-6
 MOVED = transform(rotation_from_vector([0.02, -0.01, 0.3]), [0.4, -0.2, 0.05])
@@ -66,7 +65,7 @@ def measured(geometry, q, T, rng=None, sigma_m=SIGMA_M):
     p_M = apply(T, smr_positions(geometry, q))
     if rng is not None:
         p_M = p_M + rng.normal(0.0, sigma_m, p_M.shape)
-    return ArmPoints(q, p_M, np.tile(sigma_m**2 * np.eye(3), (len(q), 1, 1)), MeasurementConditions())
+    return readings_at(q, p_M, covariance_M=np.tile(sigma_m**2 * np.eye(3), (len(q), 1, 1)))
 
 
 def certain_cell(seed=0, effects=()):
@@ -157,7 +156,7 @@ def on_a_line(model, count):
     q = np.zeros((count, 6))
     points = measured(model.arms["left"].geometry, q, MOVED)
     along = np.linspace(0.0, 1.0, count)[:, None] * np.array([0.6, 0.1, 0.2])
-    return {"left": replace(points, measured_M=points.measured_M[:1] + along)}
+    return {"left": replace(points, p_M=points.p_M[:1] + along)}
 
 
 @pytest.mark.parametrize(

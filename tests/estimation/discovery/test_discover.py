@@ -414,7 +414,7 @@ def searched() -> Searched:
 
 
 def held_out() -> HeldOut:
-    return HeldOut.of(drawn_beyond().readings, drawn_beyond().conditions)
+    return HeldOut.of(drawn_beyond())
 
 
 def test_rows_beyond_those_that_are_searched_lower_the_error():

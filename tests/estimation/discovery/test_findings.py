@@ -24,7 +24,7 @@ from cellapp.estimation.discovery.records import (
     RunnerUp,
 )
 from cellapp.estimation.discovery.search.state import FitScatter
-from cellapp.estimation.discovery.verdict import CHANCE, remaining_structure, verdict
+from cellapp.estimation.discovery.verdict import remaining_structure, verdict
 from cellapp.robot.effects import EFFECTS, EffectColumn, EffectTerm, Wave, joint_column
 from cellapp.robot.effects.data_driven import Quantity, Variable
 from cellapp.robot.kinematics.chain import parameter_names, smr_positions
@@ -37,9 +37,9 @@ from tests.twin import PROFILES, altered
 
 NOISE = FitScatter(1.0, 0.5)
 FAR_ABOVE = FitScatter(3.0, 0.0)
-NONE = remaining_structure({"joints": 0.4, "time": 0.2}, CHANCE)
-STRUCTURE = remaining_structure({"joints": 0.4, "time": 1e-6}, CHANCE)
-UNTESTED = remaining_structure({}, CHANCE)
+NONE = remaining_structure({"joints": 0.4, "time": 0.2})
+STRUCTURE = remaining_structure({"joints": 0.4, "time": 1e-6})
+UNTESTED = remaining_structure({})
 
 
 def alternative(*, distinguishable: bool) -> RunnerUp:

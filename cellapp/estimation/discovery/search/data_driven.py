@@ -158,7 +158,7 @@ def _with_term(problem: SearchProblem, state: SearchState, scores: Sequence[LawS
         names = tuple(column.name for column in data.columns(UNKNOWN, law))
         choices.append((*others, ModelTerm(UNKNOWN, law, names)))
     steps = [problem.step(UNKNOWN, "a data-driven term added", score.value, terms) for terms in choices]
-    return best_state([apply_step(problem, state, step) for step in steps])
+    return best_state([apply_step(state, step) for step in steps])
 
 
 def _holds(problem: SearchProblem, state: SearchState, score: LawScore) -> bool:

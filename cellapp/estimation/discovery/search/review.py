@@ -209,7 +209,7 @@ many is an alias, and does not contradict the law."""
 def with_contradiction(problem: SearchProblem, state: SearchState) -> SearchState | None:
     """Add the law that explains most with impossible values; None if none holds."""
     step = _contradiction(problem, state)
-    return None if step is None else apply_step(problem, state, step)
+    return None if step is None else apply_step(state, step)
 
 
 def _contradiction(problem: SearchProblem, state: SearchState) -> SearchStep | None:

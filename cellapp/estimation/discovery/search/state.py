@@ -351,7 +351,7 @@ _LEAST_IMPROVEMENT = 1e-9
 """Relative gain below which two values of a constant count as equal; above rounding errors."""
 
 
-def apply_step(problem: SearchProblem, state: SearchState, step: SearchStep) -> SearchState:
+def apply_step(state: SearchState, step: SearchStep) -> SearchState:
     """Apply a step: refit with re-estimated weights, tune constants, add the step to the history."""
     data, fit = refit(state.data.at(state.fit.model), step.terms)
     tuned = _tuned_terms(data, fit)

@@ -450,7 +450,7 @@ def _with_library_effects(
             if step is None:
                 break
         try:
-            after = problem.tried(step.what, partial(apply_step, problem, state, step))
+            after = problem.tried(step.what, partial(apply_step, state, step))
         except TooFewReadings:  # too few for the parameters of the step
             break
         if after is None and step.slug not in state.slugs:
