@@ -22,7 +22,7 @@ from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.targets.compensate import compensate
 from cellapp.cell.targets.prediction import spread_of
-from cellapp.cell.targets.ranges import ConditionRanges
+from cellapp.cell.targets.ranges import ConditionRanges, unknown_conditions
 from cellapp.cell.targets.records import MeasuredTarget, VerifyResult
 from cellapp.cell.targets.targets import Target
 from cellapp.commands.calibrate.run import calibrate_run
@@ -229,9 +229,13 @@ def _scatter(bench: _Bench, q: Mapping[str, Array]) -> dict[str, Array]:
 
 
 def _measured_sd(model: ArmModel, q: Array, approach: Array, ranges: ConditionRanges) -> Array:
-    """Return standard deviations (n, 3) [m] of measured coordinates about the prediction, as the product states."""
+    """Return standard deviations (n, 3) [m] of measured coordinates about the prediction, as the product states.
+
+    Targets state the side of approach alone: the time, for example, is unknown, and they are measured after the run.
+    """
     conditions = MeasurementConditions(approach=approach)
-    covariance = spread_of(model, q, conditions, ranges).of_model
+    unknown = unknown_conditions(model, q, conditions, ranges)
+    covariance = spread_of(model, q, conditions, ranges).of_model + sum(one.covariance for one in unknown)
     if model.posterior is not None and ranges.noise is not None:
         covariance = covariance + ranges.noise.covariance(model.predict(q, conditions), model.noise(q))
     return np.asarray(np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)))

@@ -137,12 +137,11 @@ def spread_of(arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges
     near = ranges.nearest_loaded(arm, q, conditions)
     parameters, effects, network = _of_model(arm, q, near)
     nothing = np.zeros_like(parameters)
-    loaded = payload_covariance(arm, q, conditions, near, ranges.elasticity)
+    extrapolation = payload_covariance(arm, q, conditions, near, ranges.elasticity)
     beyond = np.flatnonzero(np.any(inside != q, axis=1))
     if not len(beyond):
-        return Extent(parameters, effects, network, loaded, nothing)
+        return Extent(parameters, effects, network, extrapolation, nothing)
     within = _of_model(arm, inside[beyond], near.take(beyond))
-    extrapolation = nothing.copy()
     for here, there in zip((parameters, effects), within[:2], strict=True):
         share = np.minimum(_size(there) / np.maximum(_size(here[beyond]), 1e-300), 1.0)[:, None, None]
         extrapolation[beyond] += (1.0 - share) * here[beyond]
@@ -152,7 +151,7 @@ def spread_of(arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges
         lost = arm.network.correct(inside[beyond]) - arm.network.correct(q[beyond])
         lost = lost @ arm.geometry.T_M_B()[:3, :3].T
         extrapolation[beyond] += lost[:, :, None] * lost[:, None]
-    return Extent(parameters, effects, network, extrapolation + loaded, nothing)
+    return Extent(parameters, effects, network, extrapolation, nothing)
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------

@@ -26,7 +26,8 @@ time at its end, dwell as in the run. A side of approach is chosen and stated wi
 effect of another side is reported, but is not an uncertainty. Plausible ranges are
 
 - payload: from the profile's to what the run covered; no unknown if all readings had the profile's payload;
-- temperature and time: what the run covered;
+- temperature and time: what the run covered. A stated time that it did not cover is as unknown: what sways or drifts
+  does not stay as it was at the end of the run;
 - dwell: from zero to the longest of the run, because production may not wait.
 
 The stated size is the largest distance of the SMR from its position at the default; the covariance is the second moment
@@ -487,9 +488,11 @@ def _variables(term: EffectTerm) -> frozenset[InputVariable]:
     return own | {one.variable.quantity.input for one in term.modulations if one.variable is not None}
 
 
-def _unstated(conditions: MeasurementConditions, condition: str, n: int) -> NDArray[np.bool_]:
+def _unstated(conditions: MeasurementConditions, condition: str, n: int, spans: _Spans) -> NDArray[np.bool_]:
+    """Return the rows (n,) that state no value, or a time outside of its span."""
     values = getattr(conditions, _STATED[condition])
-    return np.ones(n, dtype=bool) if values is None else np.isnan(values)
+    low, high = spans.get("time_s") or (-np.inf, np.inf)
+    return np.ones(n, dtype=bool) if values is None else ~((low <= values) & (values <= high))
 
 
 def _shift_by(
@@ -526,7 +529,7 @@ def _dwell(arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges: C
     if not terms or ranges.dwell_s is None or ranges.step is None:
         return None
     shift, n = _shift_by(arm, terms, q, conditions.R_M_S), len(q)
-    rows = _unstated(conditions, "dwell", n)
+    rows = _unstated(conditions, "dwell", n, {})
     each = []
     for joint in range(q.shape[1]):
         driven = _driven(conditions, np.zeros(q.shape), joint, 1.0, ranges)
@@ -558,7 +561,7 @@ def _over_range(
 
     default = shift(conditions)
     moved = np.array([shift(at(place)) - default for place in _POINTS.tolist()])
-    moved = np.where(_unstated(conditions, condition, n)[:, None], moved, 0.0)
+    moved = np.where(_unstated(conditions, condition, n, spans)[:, None], moved, 0.0)
     largest = np.linalg.norm(moved, axis=2).max(axis=0)
     covariance = np.einsum("pna,pnb->nab", moved, moved) / len(moved)
     return OneUnknown(condition, _slugs(terms), largest, covariance)

@@ -30,7 +30,7 @@ _MOST_NAMED = 5
 _ADVICE: Mapping[str, str] = {
     "temperature": "state conditions: {temperature: ...} of the target, or measure again at its temperature",
     "payload": "state conditions: {payload: ...} of the target, or the payload of the arm in the profile",
-    "time": "state conditions: {time: ...} of the target, or calibrate again shortly before the work",
+    "time": "calibrate again shortly before the work, or state conditions: {time: ...} within that of the readings",
     "dwell": "state conditions: {dwell: ...} of the target: how long the arm rests before it works",
     "approach": "drive so, or state a side: approach: [1, 0, ...] of the target, one sign for each joint",
     "with any rotation": "move the target nearer to the arm",
@@ -118,11 +118,11 @@ def unknown_lines(targets: Sequence[TargetCommand]) -> list[str]:
     for one in unknown_conditions(targets):
         where = "" if one.targets == 1 else f", the most of {one.targets} targets"
         what = advice(one.condition)
-        taken = ""
+        taken = ", or beyond the readings:" if one.condition == "time" else ":"
         if one.condition == "approach":
-            taken = " commands are for the side that stands beside each (approach); with another side"
+            taken = ": commands are for the side that stands beside each (approach); with another side"
         lines.append(
-            f"{one.condition} is not stated:{taken} {', '.join(one.effects)} may move the SMR by {one.mm:.3f} mm"
+            f"{one.condition} is not stated{taken} {', '.join(one.effects)} may move the SMR by {one.mm:.3f} mm"
             f" at {one.worst}{where}" + (f"; {what}" if what else "")
         )
     return lines

@@ -63,37 +63,27 @@ def test_stated_distances_hold_for_errors_sampled_from_the_model(arm: ArmModel) 
 
 
 @pytest.mark.parametrize(
-    ("slug", "values", "ranges", "condition", "stated"),
+    ("slug", "values", "law", "condition", "key", "ends"),
     [
-        (
-            "joint_compliance",
-            {"compliance2": 1.0 / 6e4},
-            ConditionRanges(payload_kg=(0.0, 5.0)),
-            "payload",
-            {"payload_kg": np.full(5, 2.0)},
-        ),
-        (
-            "thermal_growth",
-            {"growth": 1e-5},
-            ConditionRanges(air_c=(18.0, 26.0)),
-            "temperature",
-            {"air_c": np.full(5, 20.0)},
-        ),
+        ("joint_compliance", {"compliance2": 1.0 / 6e4}, (), "payload", "payload_kg", (0.0, 5.0)),
+        ("thermal_growth", {"growth": 1e-5}, ("air", {"mean_c": 21.0}), "temperature", "air_c", (18.0, 26.0)),
+        ("base_drift", {"base_drift_x": 6e-5}, ("linear", {"first_s": 0, "last_s": 9e3}), "time", "time_s", (0.0, 9e3)),
     ],
-    ids=["payload", "temperature"],
 )
-def test_payload_and_temperature(
-    arm: ArmModel, slug: str, values: dict[str, float], ranges: ConditionRanges, condition: str, stated: Any
+def test_unknown_payload_temperature_and_time(
+    arm: ArmModel, slug: str, values: dict[str, float], law: Any, condition: str, key: str, ends: Any
 ) -> None:
-    effect = EFFECTS[slug]
-    law = effect.law() if slug != "thermal_growth" else effect.law("air", {"mean_c": 21.0})
-    one = effect_term(slug, values, "", law=law)
-    with_effect = replace(arm, effects=(one,))
-    q = configurations(5)
+    with_effect = replace(arm, effects=(effect_term(slug, values, "", law=EFFECTS[slug].law(*law)),))
+    q, ranges = configurations(5), ConditionRanges(**{key: ends})
     (found,) = unknown_conditions(with_effect, q, NOTHING, ranges)
     assert found.condition == condition
     assert found.largest_m.max() > 1e-5
-    assert unknown_conditions(with_effect, q, MeasurementConditions(**stated), ranges) == []
+    stated = [MeasurementConditions(**{key: one * np.ones(5)}) for one in (ends[1], ends[1] + 1.0)]
+    covered, beyond = (unknown_conditions(with_effect, q, one, ranges) for one in stated)
+    assert covered == []
+    assert [np.sqrt(np.trace(one.covariance[0])) for one in beyond] == pytest.approx(
+        [6e-5 * np.sqrt(0.375)] if condition == "time" else []
+    ), "a drift goes on after the readings: as uncertain as over their time"
     assert unknown_conditions(with_effect, q, NOTHING, ConditionRanges()) == [], "the run covered one value"
 
 
