@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions, require_arms
-from cellapp.cell.safety.gate import CellBodies, refuse_stop, visible
+from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions, require_arms, visible_with_others
+from cellapp.cell.safety.gate import CellBodies, refuse_stop
 from cellapp.cell.targets.goals import ArmGoals, goals_of_arm
 from cellapp.cell.targets.invert import (
     LARGEST_CORRECTION,
@@ -225,7 +225,8 @@ def _of_arm(
     tolerances, wanted = [group.targets[k].orientation_tolerance_mrad for k in rows.tolist()], goal.nominal_rotation_M
     rotations = predicted_rotations(arm, found.q, q_nominal[rows], conditions, wanted[rows], tolerances, home, ranges)
     notes = outside_notes(found.q, conditions, ranges, predicted, arm.bodies.payload_mass)
-    seen, payloads = _seen(group, name, at), conditions_payload(conditions, arm.bodies.payload_mass, len(rows))
+    seen = visible_with_others(group.cell, group.homes, name, at)
+    payloads = conditions_payload(conditions, arm.bodies.payload_mass, len(rows))
     for place, k in enumerate(rows.tolist()):
         rotated = float(found.residual_rad[place])
         commands[k] = replace(
@@ -248,17 +249,6 @@ def _of_arm(
             nominal_rotation_M=goal.nominal_rotation_M[k],
         )
     return commands, Predicted(arm, found.q, conditions, home, predicted, rotations)
-
-
-def _seen(group: _Group, name: str, at: Positions) -> NDArray[np.bool_]:
-    """Return whether the tracker sees an arm's SMR with the arms of a group at ``at``, the others at home."""
-    n = len(at[name])
-    others = {
-        other: at[other] if other in at else np.tile(home, (n, 1))
-        for other, home in group.homes.items()
-        if other != name
-    }
-    return visible(group.cell, name, at[name], others)
 
 
 def _refusals(group: _Group, chosen: Picked) -> dict[int, str]:

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.cell.safety.bodies import place
-from cellapp.cell.safety.gate import CellBodies, clear_alone, clear_stops, visible
+from cellapp.cell.safety.cell_bodies import clear_with_others, visible_with_others
+from cellapp.cell.safety.gate import CellBodies, clear_alone
 from cellapp.ground.errors import NotConverged
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.inverse import damped_step, errors_and_jacobian, sampled_configurations, shifted_into
@@ -264,16 +265,14 @@ def judged_branches(cell: CellBodies, homes: Mapping[str, Array], name: str, sol
     clear, seen = np.zeros((2, n, K), dtype=bool)
     flat = q[rows, branch]
     clear[rows, branch] = clear_alone(cell, place(cell.arms[name], flat))
-    others = {other: np.tile(at, (len(flat), 1)) for other, at in homes.items() if other != name}
-    seen[rows, branch] = visible(cell, name, flat, others)
+    seen[rows, branch] = visible_with_others(cell, homes, name, {name: flat})
     return Branches(q, beyond, motion, clear, seen)
 
 
 def admissible_configurations(cell: CellBodies, homes: Mapping[str, Array], name: str, seed: int) -> Array:
     """Sample configurations (m, N) [rad] of an arm that the gate accepts and the tracker sees, the others at home."""
     samples = sampled_configurations(cell.arms[name].limits, homes[name], seed)
-    others = {other: np.tile(at, (len(samples), 1)) for other, at in homes.items() if other != name}
-    samples = samples[visible(cell, name, samples, others)]
+    samples = samples[visible_with_others(cell, homes, name, {name: samples})]
     return np.asarray(samples[clear_with_others(cell, homes, {name: samples})])
 
 
@@ -339,9 +338,3 @@ def preferred(branches: Mapping[str, Branches]) -> tuple[NDArray[np.intp], NDArr
         largest = np.maximum(largest[:, :, None], one.motion[0][:, None]).reshape(n, -1)
         total = (total[:, :, None] + one.motion[1][:, None]).reshape(n, -1)
     return np.lexsort((total, largest, ~seen, ~usable), axis=1), np.count_nonzero(usable, axis=1)
-
-
-def clear_with_others(cell: CellBodies, homes: Mapping[str, Array], q: Positions) -> NDArray[np.bool_]:
-    """Return the mask (n,) of stops of some arms that the gate accepts, with the others at home."""
-    n = len(next(iter(q.values())))
-    return clear_stops(cell, {name: q[name] if name in q else np.tile(homes[name], (n, 1)) for name in cell.arms})

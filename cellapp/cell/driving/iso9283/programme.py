@@ -26,21 +26,9 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from cellapp.cell.safety.gate import (
-    CellBodies,
-    clear_stops,
-    refuse_motion,
-    visible,
-    visible_stops,
-    with_margin_for_ways,
-)
-from cellapp.cell.targets.invert import (
-    LARGEST_CORRECTION,
-    admissible_configurations,
-    clear_with_others,
-    invert,
-    with_approach,
-)
+from cellapp.cell.safety.cell_bodies import clear_with_others, visible_with_others
+from cellapp.cell.safety.gate import CellBodies, refuse_motion, visible_stops, with_margin_for_ways
+from cellapp.cell.targets.invert import LARGEST_CORRECTION, admissible_configurations, invert, with_approach
 from cellapp.cell.targets.ranges import beside
 from cellapp.estimation.calibration.identification import identify, start_from_nominal
 from cellapp.estimation.calibration.parameters import ParameterSet
@@ -278,8 +266,7 @@ class CubeSearch:
             rows = rows[clear_with_others(with_margin_for_ways(self.cell), self.homes, {self.name: q[rows]})]
         words[rows] = VIEW
         if len(rows):
-            others = {other: np.tile(at, (len(rows), 1)) for other, at in self.homes.items() if other != self.name}
-            words[rows[visible(self.cell, self.name, q[rows], others)]] = ""
+            words[rows[visible_with_others(self.cell, self.homes, self.name, {self.name: q[rows]})]] = ""
         return [str(word) for word in words]
 
     @property
@@ -672,12 +659,8 @@ def pose_pairs(
     """
     first, second = q
     both = [(a, b) for a in CYCLE for b in CYCLE]
-    n = len(both)
-    stops = {name: np.tile(home, (n, 1)) for name, home in homes.items()}
-    stops[first] = np.array([q[first][a] for a, _ in both])
-    stops[second] = np.array([q[second][b] for _, b in both])
-    seen = {name: stops[name] for name in (first, second)}
-    holds = (clear_stops(cell, stops) & visible_stops(cell, seen)).reshape(len(CYCLE), len(CYCLE))
+    stops = {name: np.array([q[name][pair[place]] for pair in both]) for place, name in enumerate((first, second))}
+    holds = (clear_with_others(cell, homes, stops) & visible_stops(cell, stops)).reshape(len(CYCLE), len(CYCLE))
     other = 1.0 - np.eye(len(CYCLE))
     rows, columns = scipy.optimize.linear_sum_assignment(np.where(holds, other, 10.0 * len(POSES)))
     return [(CYCLE[i], CYCLE[k]) for i, k in zip(rows, columns, strict=True) if holds[i, k]]
