@@ -173,8 +173,8 @@ def check_cell(run: RunFile, cell: Cell, commands: Sequence[Command], *, changed
     wrong = list(_wrong_payloads(run, cell, commands))
     if wrong:
         raise HardwareError(
-            f"push: {'; '.join(first_few(wrong, most=_MOST_NAMED))}; nothing was moved. Set the payload of the load that the"
-            " arm carries on its controller, or state it at the target (conditions.payload)"
+            f"push: {'; '.join(first_few(wrong, most=_MOST_NAMED))}; nothing was moved. Set the payload of the"
+            " load that the arm carries on its controller, or state it at the target (conditions.payload)"
         )
     return notes
 
