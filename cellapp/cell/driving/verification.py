@@ -18,6 +18,7 @@ from cellapp.cell.targets.records import (
     MeasuredRelative,
     MeasuredRotation,
     MeasuredTarget,
+    VerifyResult,
 )
 from cellapp.cell.targets.targets import target_record
 from cellapp.estimation.calibration.quantities import summarise
@@ -421,6 +422,15 @@ class Agreement:
 
 
 # -- statistics -------------------------------------------------------------------------------------------------------
+
+
+def result_of(visited: Sequence[Findings], judge: Judge, stopped: str = "", *, verify: bool) -> VerifyResult:
+    """Return the result of the targets visited so far; ``stopped`` says why others are missing."""
+    targets = tuple(one for found in visited for one in found.targets(judge))
+    pairs = tuple(pair for found in visited if verify and (pair := found.pair(judge)) is not None)
+    return VerifyResult(
+        arms=by_arm(targets), targets=targets, pairs=pairs, cooperative=summary_of(pairs), stopped=stopped
+    )
 
 
 def by_arm(targets: Sequence[MeasuredTarget]) -> Mapping[str, ArmVerification]:

@@ -115,12 +115,6 @@ def invert(
     return Inverted(best, np.linalg.norm(error[:, :3], axis=1), rotated)
 
 
-def invert_model(arm: ArmModel, position_M: Array, rotation_M: Array, start: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the controller readings (n, N) [rad] of ``invert``, and the mask (n,) of reached targets."""
-    found = invert(arm, position_M, rotation_M, start)
-    return found.q, found.reached
-
-
 def without_effects(arm: ArmModel, true: Array, conditions: MeasurementConditions) -> Array:
     """Return controller readings (n, N) [rad] that put the real joints at ``true`` (n, N) under ``conditions``.
 

@@ -8,7 +8,8 @@ from contextlib import suppress
 from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.cell_checks import carrying, check_cell
 from cellapp.cell.driving.requests import running_job
-from cellapp.cell.driving.target_visit import Visited, push
+from cellapp.cell.driving.target_visit import push
+from cellapp.cell.driving.verification import Findings, result_of
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.recordings import all_known_readings
 from cellapp.cell.targets.records import VerifyResult
@@ -65,7 +66,12 @@ def push_targets(run: RunFile, request: PushRequest, work: Work) -> VerifyResult
     commands, compensated = compensated_commands(run, stages, targets)
     # simulated cell: the tracker where it stands now
     profile = carrying(profile_at_station(run, stages), ((one.arm, one.payload_kg) for one in commands))
-    used, visited, judge, notes = stage_in_force(run, stages), Visited(), judge_of(run, profile), [*compensated.notes]
+    used, visited, judge, notes = (
+        stage_in_force(run, stages),
+        list[Findings](),
+        judge_of(run, profile),
+        [*compensated.notes],
+    )
 
     def opened(cell: Cell) -> None:
         notes.extend(check_cell(run, cell, commands, changed_controller=request.out_of_date))
@@ -93,10 +99,11 @@ def push_targets(run: RunFile, request: PushRequest, work: Work) -> VerifyResult
             visited=visited,
         )
     except (CellappError, Cancelled) as error:
-        if visited.targets:
-            asked, done = len({one.target.name for one in commands}), len({one.name for one in visited.targets})
+        if visited:
+            asked = len({one.target.name for one in commands})
+            stopped = f"stopped after {len(visited)} of {counted(asked, 'target')}: {error}"
             with suppress(InputError):  # report the reason of the halt, not this error
-                store(visited.result(f"stopped after {done} of {counted(asked, 'target')}: {error}"))
+                store(result_of(visited, judge, stopped, verify=request.verify))
         raise
     return store(pushed)
 
