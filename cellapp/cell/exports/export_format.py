@@ -66,11 +66,7 @@ def exported_commands(
     records: Sequence[TargetCommand], name: str, model: CellModel, cell: CellBodies, homes: Mapping[str, Array]
 ) -> tuple[ExportedCommand, ...]:
     """Return the commands of one arm with ways from home that the gate has checked, with all other arms at home."""
-    found = []
-    for record in records:
-        way, refusal = _way(record, name, model, cell, homes)
-        found.append(ExportedCommand(record, () if refusal else way, refusal))
-    return tuple(found)
+    return tuple(ExportedCommand(record, *_way(record, name, model, cell, homes)) for record in records)
 
 
 def final_commands(measured: Sequence[MeasuredTarget], computed: Sequence[TargetCommand]) -> tuple[TargetCommand, ...]:

@@ -45,7 +45,7 @@ from cellapp.commands.export.request import ExportRequest
 from cellapp.commands.plan.run import export_plan
 from cellapp.commands.record import Request, View, Work
 from cellapp.commands.stages import RunStages, StoredStage, read_stages
-from cellapp.commands.stored_model import model_of, require_own_factory, stage_in_force
+from cellapp.commands.stored_model import model_of, notes_on, require_own_factory, stage_in_force
 from cellapp.estimation.calibration.quantities import conditions_of_arms
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs, require_suffix, write_new
@@ -78,7 +78,15 @@ def export_commands(
         raise InputError(f"export: arm '{request.arm}' has no commands of '{stage.name}'; {there}; nothing was written")
     chosen = [request.arm] if request.arm is not None else names
     files = files_of_arms(out, chosen)
-    commands = {name: _of_arm(run, stages, stage, records, name) for name in chosen}
+    in_force = stage_in_force(run, stages)
+    source = f"run '{run.folder.resolve().name}', '{stage.name}' of {stage.written}, model of '{in_force.name}'"
+    profile = commanded_profile(run.profile, {name: known_readings(run, name) for name in run.profile.arms})
+    model, homes, commands = model_of(run, in_force), home_positions(profile), dict[str, ArmCommands]()
+    cell = cell_bodies(profile, model)
+    for name in chosen:
+        own = [record for record in records if record.arm == name]
+        arm, ways = profile.arms[name], exported_commands(own, name, model, cell, homes)
+        commands[name] = ArmCommands(name, arm, source, homes[name], *first_rates(run.profile, arm), ways)
     texts = {files[name]: form.text(of_arm, sentences(form, run, of_arm)) for name, of_arm in commands.items()}
     write_new(texts, outputs)
     return ExportResult(
@@ -123,26 +131,6 @@ def _records(run: RunFile, stages: RunStages, stage: StoredStage) -> tuple[Targe
     return final_commands(VerifyResult.from_json(stage.text, f"{run.path}: {VERIFY}").targets, computed)
 
 
-def _of_arm(
-    run: RunFile, stages: RunStages, stage: StoredStage, records: tuple[TargetCommand, ...], name: str
-) -> ArmCommands:
-    in_force = stage_in_force(run, stages)
-    profile = commanded_profile(run.profile, {name: known_readings(run, name) for name in run.profile.arms})
-    model, homes, arm = model_of(run, in_force), home_positions(profile), profile.arms[name]
-    speed, acceleration = first_rates(run.profile, arm)
-    return ArmCommands(
-        name=name,
-        arm=arm,
-        source=f"run '{run.folder.resolve().name}', '{stage.name}' of {stage.written}, model of '{in_force.name}'",
-        home=homes[name],
-        speed=speed,
-        acceleration=acceleration,
-        commands=exported_commands(
-            [record for record in records if record.arm == name], name, model, cell_bodies(profile, model), homes
-        ),
-    )
-
-
 def run(request: ExportRequest, work: Work) -> ExportResult:
     """Write the requested files."""
     with RunFile.open(request.folder) as opened:
@@ -174,7 +162,7 @@ def _export_arms(
     chosen = {name: export for name, export in exports.items() if request.arm in (None, name)}
     files = files_of_arms(out, list(chosen))
     texts = {files[name]: form.text(export, sentences(form, run, export)) for name, export in chosen.items()}
-    notes = (*_stale_notes(stages.stale_arms()), *_rigid_notes(run, stages, chosen))
+    notes = (*notes_on(stages.stale_arms()), *_rigid_notes(run, stages, chosen))
     write_new(texts, outputs)
     return ExportResult(
         format=form.name,
@@ -193,17 +181,13 @@ def _export_cell(
         raise InputError(f"export: --as {form.name} writes all arms in one file; leave --arm out, or take --as urdf")
     check_out(out)
     exports = calibrated_arms(run, stages, request.stage)
-    notes = (*_stale_notes(stages.stale_model()), *_rigid_notes(run, stages, exports))
+    notes = (*notes_on(stages.stale_model()), *_rigid_notes(run, stages, exports))
     write_new({out: form.text(exports, sentences(form, run, *exports.values()))}, outputs)
     return ExportResult(
         format=form.name,
         arms={name: _arm_file(export, out, export.geometry.tool, 0.0) for name, export in exports.items()},
         notes=notes,
     )
-
-
-def _stale_notes(stale: str) -> list[str]:
-    return [f"the model was used although {stale}"] if stale else []
 
 
 def calibrated_arms(run: RunFile, stages: RunStages, stage_name: str | None = None) -> dict[str, ArmExport]:
