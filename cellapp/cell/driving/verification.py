@@ -425,11 +425,21 @@ class Agreement:
 
 
 def result_of(visited: Sequence[Findings], judge: Judge, stopped: str = "", *, verify: bool) -> VerifyResult:
-    """Return the result of the targets visited so far; ``stopped`` says why others are missing."""
+    """Return the result of the targets visited so far, with the rule by which their tolerances were decided.
+
+    ``stopped`` says why others are missing.
+    """
     targets = tuple(one for found in visited for one in found.targets(judge))
     pairs = tuple(pair for found in visited if verify and (pair := found.pair(judge)) is not None)
+    judged = list(dict.fromkeys(one.arm for one in targets if one.tolerance_mm is not None))
     return VerifyResult(
-        arms=by_arm(targets), targets=targets, pairs=pairs, cooperative=summary_of(pairs), stopped=stopped
+        arms=by_arm(targets),
+        targets=targets,
+        pairs=pairs,
+        cooperative=summary_of(pairs),
+        stopped=stopped,
+        rule=judge.rule,
+        not_given=judge.not_given(judged) if verify else (),
     )
 
 
