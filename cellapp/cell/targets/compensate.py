@@ -19,7 +19,6 @@ from cellapp.cell.targets.goals import ArmGoals, goals_of_arm
 from cellapp.cell.targets.invert import (
     LARGEST_CORRECTION,
     Branches,
-    Inverted,
     Picked,
     Positions,
     admissible_configurations,
@@ -49,7 +48,7 @@ from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.chain import Geometry
-from cellapp.robot.kinematics.inverse import all_branches, errors_and_jacobian, missed_distances, solve_pose
+from cellapp.robot.kinematics.inverse import Inverted, all_branches, errors_and_jacobian, missed_distances, solve_pose
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel, CellModel
 
@@ -310,8 +309,8 @@ def missed_poses(geometry: Geometry, position_M: Array, rotation_M: Array, home:
     wanted = np.where(free[:, None, None], np.eye(3), rotation_M)
     solved = solve_pose(geometry, position_M, wanted, np.tile(home, (len(wanted), 1)), max_iterations=_ROUNDS)
     words = []
-    nearest = np.where(free, missed_distances(geometry, position_M, home), solved.position_error)
-    for off_m, off_rad, any_rotation in zip(nearest, solved.rotation_error, free, strict=True):
+    nearest = np.where(free, missed_distances(geometry, position_M, home), solved.residual_m)
+    for off_m, off_rad, any_rotation in zip(nearest, solved.residual_rad, free, strict=True):
         if any_rotation:
             words.append(f"out of reach with any rotation: the SMR comes within {off_m * 1e3:.1f} mm")
         elif off_m < _SAME_POSE and off_rad < _SAME_POSE:

@@ -14,7 +14,13 @@ from cellapp.cell.safety.cell_bodies import clear_with_others, visible_with_othe
 from cellapp.cell.safety.gate import CellBodies, clear_alone
 from cellapp.ground.errors import NotConverged
 from cellapp.robot.effects import MeasurementConditions
-from cellapp.robot.kinematics.inverse import damped_step, errors_and_jacobian, sampled_configurations, shifted_into
+from cellapp.robot.kinematics.inverse import (
+    Inverted,
+    damped_step,
+    errors_and_jacobian,
+    sampled_configurations,
+    shifted_into,
+)
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
 
@@ -35,40 +41,6 @@ _FREE_DAMPING = 1e-12
 """Damping [m^2] of a step to a position with free rotation: far below the squared lever arms."""
 _SHIFTED_M = 1e-8
 """Shift of the SMR [m] by a change of approach above which the joints correct it: a hundredth of the allowed error."""
-
-
-@dataclass(frozen=True, eq=False)
-class Inverted:
-    """Commands for n targets.
-
-    Attributes
-    ----------
-    q : array, shape (n, N)
-        Joint positions as the controller reports them [rad].
-    residual_m, residual_rad : array, shape (n,)
-        Distance and angle by which the model misses the targets there; the angle is NaN if the rotation is free.
-    """
-
-    q: Array
-    residual_m: Array
-    residual_rad: Array
-
-    @property
-    def reached(self) -> NDArray[np.bool_]:
-        """Mask (n,) of targets that are reached."""
-        return (self.residual_m < _REACHED) & ~(self.residual_rad >= _REACHED)
-
-    def take(self, rows: NDArray[np.intp]) -> Inverted:
-        """Return the commands of some rows."""
-        return Inverted(self.q[rows], self.residual_m[rows], self.residual_rad[rows])
-
-    def put(self, rows: NDArray[np.intp], of: Inverted, kept: NDArray[np.bool_]) -> None:
-        """Replace the commands of ``rows`` by the ``kept`` ones of ``of``."""
-        self.q[rows], self.residual_m[rows], self.residual_rad[rows] = (
-            of.q[kept],
-            of.residual_m[kept],
-            of.residual_rad[kept],
-        )
 
 
 def invert(
@@ -112,7 +84,7 @@ def invert(
             break
         q[active] += _step(J, errors, free[active])
     rotated = np.where(free, np.nan, np.linalg.norm(error[:, 3:], axis=1))
-    return Inverted(best, np.linalg.norm(error[:, :3], axis=1), rotated)
+    return Inverted(best, np.linalg.norm(error[:, :3], axis=1), rotated, _REACHED)
 
 
 def without_effects(arm: ArmModel, true: Array, conditions: MeasurementConditions) -> Array:
@@ -281,7 +253,10 @@ def choose(cell: CellBodies, homes: Mapping[str, Array], branches: Mapping[str, 
     pick = list(product(*(range(one.q.shape[1]) for one in branches.values())))
     places = {name: np.array([entry[k] for entry in pick]) for k, name in enumerate(branches)}
     nominal = {name: np.full((n, one.q.shape[2]), np.nan) for name, one in branches.items()}
-    unsolved = {name: Inverted(np.full(q.shape, np.nan), *np.full((2, n), np.inf)) for name, q in nominal.items()}
+    unsolved = {
+        name: Inverted(np.full(q.shape, np.nan), np.full(n, np.inf), np.full(n, np.inf), _REACHED)
+        for name, q in nominal.items()
+    }
     chosen = Picked(np.zeros(n, dtype=bool), nominal, unsolved)
     for attempt in range(int(count.max(initial=0))):
         rows = np.flatnonzero(~chosen.accepted & (count > attempt))

@@ -45,7 +45,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.targets.invert import Inverted, invert
+from cellapp.cell.targets.invert import invert
 from cellapp.cell.targets.records import UnknownCondition
 from cellapp.cell.targets.targets import Target, WorkingConditions
 from cellapp.estimation.calibration.quantities import measurement_conditions
@@ -61,6 +61,7 @@ from cellapp.robot.effects import (
     displacement,
 )
 from cellapp.robot.kinematics.chain import JointAngles, jacobian, joint_jacobian
+from cellapp.robot.kinematics.inverse import Inverted
 from cellapp.robot.kinematics.statics import base_moment
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
@@ -633,7 +634,7 @@ def sided_commands(
     sizes = np.where(stated != 0.0, usual, np.abs(step))
     made = replace(conditions, approach=signs, step=sizes * signs)
     again = invert(arm, position_M[rows], rotation_M[rows], q[rows], made.take(rows))
-    kept = Inverted(q.copy(), found.residual_m.copy(), found.residual_rad.copy())
+    kept = found.take(np.arange(len(q)))
     kept.put(rows[again.reached], again, again.reached)
     lost = np.setdiff1d(rows, rows[again.reached])  # such a command stays at the middle, without a side
     signs[lost] = stated[lost]
