@@ -381,10 +381,8 @@ def path_record(model: CellModel, plan: PathPlan) -> PathRecord:
                 for one in sorted(joints.reversals, key=lambda one: one.at_m)
             ),
         }
-    return PathRecord(
-        name=spec.name,
-        arm=spec.arm,
-        frame=spec.frame,
+    return PathRecord.like(
+        spec,
         tolerance_mm=spec.tolerance * 1e3,
         refusal=plan.refusal,
         length_mm=None if plan.path is None else plan.path.length * 1e3,

@@ -245,9 +245,7 @@ def sentences(form: AnyFormat, run: RunFile, *arms: ArmExport | ArmCommands) -> 
 
 
 def _arm_file(export: ArmExport, file: Path, smr: Array, off_mm: float) -> ArmFile:
-    return ArmFile(
-        file=str(file), smr_m=xyz_of(smr), conversion_mm=off_mm, lost=export.lost, lost_together=export.lost_together
-    )
+    return ArmFile.like(export, file=str(file), smr_m=xyz_of(smr), conversion_mm=off_mm)
 
 
 def _export_tables(run: RunFile, request: ExportRequest, outputs: Outputs) -> ExportResult:

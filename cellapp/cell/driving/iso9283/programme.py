@@ -41,7 +41,6 @@ from cellapp.estimation.iso9283.characteristics import (
     PLANES,
     POSES,
     lattice_cube,
-    plane_name,
     pose_positions,
 )
 from cellapp.estimation.iso9283.evaluate import ArmProgramme, IsoPlace
@@ -440,20 +439,17 @@ class ChosenCube:
 
     def record(self) -> IsoCube:
         """Return the cube as a result record."""
-        poses = [name for name in self.q if " " not in name]
-        rpy = None
-        if np.isfinite(self.rotation_B).all():
-            rpy = rpy_of(self.rotation_B)
-        return IsoCube(
+        rpy = rpy_of(self.rotation_B) if np.isfinite(self.rotation_B).all() else None
+        return IsoCube.like(
+            self,
             edge_mm=self.edge * 1e3,
             centre_B=xyz_of(self.centre_B),
-            plane=self.plane,
             rpy=rpy,
             poses=tuple(
                 IsoPose(name=name, position_B=xyz_of(self.position_B[name]), q=tuple(self.q[name].tolist()))
-                for name in poses
+                for name in self.q
+                if " " not in name
             ),
-            limited_by=self.limited_by,
         )
 
 
@@ -498,7 +494,7 @@ def _in_plane(search: CubeSearch, cube: FoundCube, plane: tuple[str, str, str, s
         if refusal := refuse_motion(search.cell, start, end):
             return refusal
     rotation_B = search.nominal.geometry.T_M_B()[:3, :3].T @ cube.region.rotation_M
-    return ChosenCube(cube.edge, cube.centre_B, plane_name(plane), rotation_B, positions, at, cube.limited_by)
+    return ChosenCube(cube.edge, cube.centre_B, "-".join(plane), rotation_B, positions, at, cube.limited_by)
 
 
 def _approaches(positions: dict[str, Array], edge: float) -> dict[str, Array]:
