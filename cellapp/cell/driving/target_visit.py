@@ -31,7 +31,7 @@ from cellapp.cell.driving.verification import (
     rms_error_m,
 )
 from cellapp.cell.planning.planned_stops import orders, tell_time, visits_s
-from cellapp.cell.targets.invert import invert, with_approach
+from cellapp.cell.targets.invert import STEP_BACK_RAD, invert, with_approach
 from cellapp.cell.targets.prediction import Command
 from cellapp.cell.targets.ranges import conditions_of
 from cellapp.cell.targets.records import VerifyResult
@@ -52,9 +52,8 @@ Sides = Mapping[str, Vector]
 CommandFrom = Callable[[str, Vector], Vector]
 """Function: arm and its joint positions (N,) [rad] before, which affect backlash -> its command (N,) [rad]."""
 
-_STEPS_BACK_RAD = (np.radians(1.0), np.radians(0.25))
-"""Step back of a joint that must arrive from a given side [rad]: well beyond any backlash, short enough to stay clear.
-The second one is for arms that are close to something."""
+_STEPS_BACK_RAD = (STEP_BACK_RAD, np.radians(0.25))
+"""The second one is for arms that are close to something."""
 
 
 def drive_to(

@@ -39,6 +39,8 @@ _SETTLED_RAD = 1e-8
 """Joint change [rad] up to which it counts as ended: less than any controller's resolution."""
 _FREE_DAMPING = 1e-12
 """Damping [m^2] of a step to a position with free rotation: far below the squared lever arms."""
+STEP_BACK_RAD = float(np.radians(1.0))
+"""Step back of a joint that must arrive from a side [rad]: well beyond any backlash, short enough to stay clear."""
 _SHIFTED_M = 1e-8
 """Shift of the SMR [m] by a change of approach above which the joints correct it: a hundredth of the allowed error."""
 
