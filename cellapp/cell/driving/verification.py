@@ -12,6 +12,7 @@ import numpy as np
 
 from cellapp.cell.driving.motion import Mover, PointAtRest
 from cellapp.cell.targets.prediction import Command
+from cellapp.cell.targets.ranges import beside
 from cellapp.cell.targets.records import (
     ArmVerification,
     MeasuredPair,
@@ -25,7 +26,6 @@ from cellapp.estimation.calibration.quantities import summarise
 from cellapp.estimation.uncertainty.budget import Judge, angle_budget, expanded_mrad
 from cellapp.ground.profile import SAME_PAYLOAD_KG
 from cellapp.ground.results import ErrorSummary
-from cellapp.robot.kinematics.statics import base_moment
 from cellapp.robot.kinematics.transforms import Array, rotation_from_vector, rotation_vectors, rotations_of, xyz_of
 from cellapp.robot.model import ArmModel, CellModel
 from drivers.arms.protocol import ArmState
@@ -349,20 +349,16 @@ def predict_at_rest(model: CellModel, mover: Mover, name: str, state: ArmState, 
     The conditions are those of this stop: approach, step, rest, payload, temperatures, position of the other arm. The
     time is now.
     """
-    moment = other_q = None
-    others = [other for other in model.arms if other != name]
-    if len(others) == 1:
-        arm, other_q = model.arms[others[0]], mover.positions()[others[0]][None]
-        moment = base_moment(arm.geometry, arm.bodies, other_q, arm.up_M)
     carried = mover.profile.arms[name].payload
     known = state.payload_kg is not None and abs(state.payload_kg - carried.mass) <= SAME_PAYLOAD_KG
     conditions = replace(
         mover.conditions(name, state, -0.5 * point.averaging_s),
         payload_center_F=np.array([carried.center_of_mass]) if known else None,
         air_c=None if point.temperature_c is None else np.array([point.temperature_c]),
-        other_moment_M=moment,
-        other_q=other_q,
     )
+    others = [other for other in model.arms if other != name]
+    if len(others) == 1:
+        conditions = beside(conditions, model.arms[others[0]], mover.positions()[others[0]][None], None)
     return np.asarray(model.arms[name].predict(point.q[None], conditions=conditions)[0])
 
 
