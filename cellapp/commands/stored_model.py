@@ -88,8 +88,12 @@ def require_own_factory(run: RunFile, verb: str) -> None:
 
 def stale_notes(stages: RunStages, used: StoredStage) -> list[str]:
     """Return a note if the model of stage ``used`` is used although it no longer holds."""
-    stale = stages.stale_model()
-    return [f"the model in force, that of '{used.name}', was used although {stale}"] if stale else []
+    return notes_on(stages.stale_model(), f"the model in force, that of '{used.name}',")
+
+
+def notes_on(stale: str, model: str = "the model") -> list[str]:
+    """Return a note that a model was used although it is ``stale``; empty if it is not."""
+    return [f"{model} was used although {stale}"] if stale else []
 
 
 def append_with_model(run: RunFile, name: StageName, result: Result, model: CellModel, basis: Basis) -> None:

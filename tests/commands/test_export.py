@@ -102,8 +102,7 @@ def test_names_of_arms_are_only_text(finished_copy: Path, tmp_path: Path, form: 
     with RunFile.open(finished_copy) as run:
         export = replace(calibrated_arms(run, read_stages(run))["left"], name=name)
     plain, hostile = (
-        FORMATS[form].text(one, sentences(FORMATS[form], one, run.profile))
-        for one in (replace(export, name="l"), export)
+        FORMATS[form].text(one, sentences(FORMATS[form], run, one)) for one in (replace(export, name="l"), export)
     )
     if form == "urdf":
         assert [joint.get("type") for joint in ElementTree.fromstring(hostile).iter("joint")].count("revolute") == 6

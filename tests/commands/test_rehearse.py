@@ -9,21 +9,13 @@ from typing import Any
 
 import pytest
 
-from cellapp.cell.driving.records import RehearsedMotion
+from cellapp.cell.driving.records import RehearsedMotion, RehearseResult
 from cellapp.cell.driving.rehearsal_rungs import RUNGS
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.file import note_profile, rehearsals_path
 from cellapp.commands.rehearse.request import RehearseRequest
-from cellapp.commands.rehearse.result import (
-    RehearsalLog,
-    RehearseResult,
-    arms_hash,
-    keep_log,
-    kept_log,
-    read_log,
-    write_log,
-)
+from cellapp.commands.rehearse.result import RehearsalLog, arms_hash, keep_log, kept_log, read_log, write_log
 from cellapp.commands.rehearse.run import run as rehearse
 from cellapp.commands.rehearse.view import log_section, view
 from cellapp.commands.view.table import Table

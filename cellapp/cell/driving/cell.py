@@ -28,7 +28,7 @@ from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Smr
 from cellapp.ground.progress import Cancelled
 from cellapp.robot.kinematics.transforms import rotation_zyx
-from cellapp.robot.model.nominal import joint_rates, pose_matrix
+from cellapp.robot.model.nominal import joint_rates, pose_matrix, published_rows
 from drivers.arms.protocol import Arm, ArmError, JointLimits
 from drivers.arms.settings import ArmContext
 from drivers.clock import Clock, RealClock, SimulatedClock
@@ -401,7 +401,7 @@ def plant_arm(name: str, arm: ArmProfile, effects: Mapping[str, Mapping[str, obj
     joints = arm.type.joints
     return ArmConfig(
         name=name,
-        rows=np.array([[joint.theta, joint.d, joint.a, joint.alpha] for joint in joints]),
+        rows=published_rows(arm),
         limits=np.array(arm.joint_limits),
         speed=np.array([joint.speed for joint in joints]),
         acceleration=np.array([joint.acceleration for joint in joints]),

@@ -24,6 +24,7 @@ from cellapp.cell.safety.cell_bodies import require_arms
 from cellapp.cell.targets.prediction import Command
 from cellapp.cell.targets.ranges import conditions_of
 from cellapp.ground.control import Stopped
+from cellapp.ground.counting import first_few
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import SAME_PAYLOAD_KG, Profile
 from cellapp.ground.profile import Arm as ArmProfile
@@ -171,10 +172,9 @@ def check_cell(run: RunFile, cell: Cell, commands: Sequence[Command], *, changed
     notes = check_controllers(run, cell, insist=changed_controller)
     wrong = list(_wrong_payloads(run, cell, commands))
     if wrong:
-        more = [f"{len(wrong) - _MOST_NAMED} more"] if len(wrong) > _MOST_NAMED else []
         raise HardwareError(
-            f"push: {'; '.join([*wrong[:_MOST_NAMED], *more])}; nothing was moved. Set the payload of the load that the"
-            " arm carries on its controller, or state it at the target (conditions.payload)"
+            f"push: {'; '.join(first_few(wrong, most=_MOST_NAMED))}; nothing was moved. Set the payload of the"
+            " load that the arm carries on its controller, or state it at the target (conditions.payload)"
         )
     return notes
 

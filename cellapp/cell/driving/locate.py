@@ -13,8 +13,8 @@ import numpy as np
 from cellapp.cell.driving.measuring import APART_M, MISSED, FoundPoint, SmrSearch, points_of
 from cellapp.cell.driving.motion import MotionRefused, Mover, Vector
 from cellapp.cell.driving.target_visit import drive_to
-from cellapp.cell.safety.gate import refuse_motion, visible
-from cellapp.cell.targets.invert import clear_with_others
+from cellapp.cell.safety.cell_bodies import clear_with_others, visible_with_others
+from cellapp.cell.safety.gate import refuse_motion
 from cellapp.estimation.calibration.station_location import StationFit, fit_station
 from cellapp.estimation.readings import Readings
 from cellapp.ground.counting import counted
@@ -91,8 +91,7 @@ class LocatingStops:
         T_C_B = self._bodies.arms[name].geometry.T_M_B()
         T_C_M = T_C_B @ np.linalg.inv(model.arms[name].geometry.T_M_B())
         bodies = replace(self._bodies, field=replace(self._bodies.field, T_C_M=T_C_M))
-        others = {other: np.tile(home, (len(q), 1)) for other, home in self._homes.items() if other != name}
-        seen = visible(bodies, name, q, others)
+        seen = visible_with_others(bodies, self._homes, name, {name: q})
         p_M = model.predict(name, q)
         for other, home in self._homes.items():
             if other != name:

@@ -1,4 +1,4 @@
-"""What driving gives: how collecting ended, the motions of a rehearsal, the calibration in a controller."""
+"""What driving gives: how collecting ended, what happened on a rung of a rehearsal, the calibration in a controller."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Literal
 
 from pydantic import Field
 
+from cellapp.cell.driving.rehearsal_rungs import RungName
 from cellapp.cell.run.records import ReferenceDrift
 from cellapp.cell.run.sqlite_file import Outcome
 from cellapp.ground.results import Record, Result
@@ -53,6 +54,30 @@ class RehearsedMotion(Record):
     seconds: float
     expected_s: float
     off_mrad: Mapping[str, float]
+
+
+class RehearseResult(Result, schema="cellapp-rehearse"):
+    """``rehearse``: what happened on one rung; stops count from 1.
+
+    ``controllers`` are arm -> model, serial number and software. ``ended`` is why it ended early, else empty.
+    ``missing`` are the rungs that are not passed yet.
+    """
+
+    rung: RungName
+    arms: tuple[str, ...]
+    when: str
+    controllers: Mapping[str, str]
+    visited: tuple[int, ...]
+    refused: Mapping[int, str]
+    motions: tuple[RehearsedMotion, ...]
+    notes: tuple[str, ...] = ()
+    ended: str = ""
+    missing: tuple[RungName, ...] = ()
+
+    @property
+    def passed(self) -> bool:
+        """Whether the rung counts: it did not end early, and every stop that was not refused was reached."""
+        return not self.ended and bool(self.visited)
 
 
 class ControllerCalibration(Record):

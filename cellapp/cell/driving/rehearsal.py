@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 
 import numpy as np
 
 from cellapp.cell.driving.cell import open_arms
 from cellapp.cell.driving.cell_checks import check_controllers
 from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover
-from cellapp.cell.driving.records import RehearsedMotion
+from cellapp.cell.driving.records import RehearsedMotion, RehearseResult
 from cellapp.cell.driving.rehearsal_rungs import RUNGS, Rung, RungName
 from cellapp.cell.driving.stops_to_collect import StopsToCollect, Travel, remaining_work
 from cellapp.cell.driving.supervision import reacting
 from cellapp.cell.run import RunFile
+from cellapp.cell.run.run_arms import recorded_controllers
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError
@@ -23,32 +24,9 @@ from cellapp.ground.progress import Detail, MotionBegun, MotionEnded
 from cellapp.robot.kinematics.transforms import Array
 
 
-@dataclass
-class Rehearsal:
-    """Results of one rung; stops count from 1, as in ``RehearseResult``.
-
-    Attributes
-    ----------
-    visited : list of int
-        The stops that were reached.
-    refused : dict
-        Stop -> why the gate or a controller refused it.
-    notes : tuple of str
-        Messages of the controllers.
-    ended : str
-        Why the rung ended early; empty if it was completed.
-    """
-
-    visited: list[int] = field(default_factory=list)
-    refused: dict[int, str] = field(default_factory=dict)
-    motions: list[RehearsedMotion] = field(default_factory=list)
-    notes: tuple[str, ...] = ()
-    ended: str = ""
-
-
 def rehearse(
-    run: RunFile, name: RungName, arms: Sequence[str], control: JobControl, confirm: Confirm | None
-) -> Rehearsal:
+    run: RunFile, name: RungName, arms: tuple[str, ...], control: JobControl, confirm: Confirm | None
+) -> RehearseResult:
     """Drive the planned stops of a run for one rung with ``arms``; the others stay where they are. Store nothing.
 
     Refusals by a device, and a fault that ends the rung, are in the result.
@@ -60,54 +38,64 @@ def rehearse(
     Stopped, Aborted
         If a person stopped it; the arms have been braked.
     """
-    found, rung, work = Rehearsal(), RUNGS[name], remaining_work(run, resume=True)
+    driver, notes, ended = _Driver(remaining_work(run, resume=True), RUNGS[name], arms), tuple[str, ...](), ""
     try:
-        with open_arms(run.profile, control, simulation=rung.simulation) as cell, reacting(cell, control) as reaction:
-            found.notes = check_controllers(run, cell)
-            mover = Mover(run.profile, cell, cell_bodies(run.profile), reaction, control)
-            _Driver(work, rung, tuple(arms), mover, found).drive(confirm)
+        simulation = driver.rung.simulation
+        with open_arms(run.profile, control, simulation=simulation) as cell, reacting(cell, control) as reaction:
+            notes = check_controllers(run, cell)
+            driver.drive(Mover(run.profile, cell, cell_bodies(run.profile), reaction, control), confirm)
     except (HardwareError, MotionRefused) as error:
-        found.ended = str(error)
-    return found
+        ended = str(error)
+    return RehearseResult(
+        rung=name,
+        arms=arms,
+        when=datetime.now(UTC).isoformat(timespec="seconds"),
+        controllers={
+            arm: f"{its.model} {its.serial}, {its.software}" for arm, its in recorded_controllers(run).items()
+        },
+        visited=tuple(driver.visited),
+        refused=dict(sorted(driver.refused.items())),
+        motions=tuple(driver.motions),
+        notes=notes,
+        ended=ended,
+    )
 
 
 @dataclass
 class _Driver:
-    """Drives one rung in an open cell."""
+    """Drives one rung in an open cell; ``visited`` and ``refused`` are stops, counted from 1."""
 
     work: StopsToCollect
     rung: Rung
     arms: tuple[str, ...]
-    mover: Mover
-    found: Rehearsal
+    visited: list[int] = field(default_factory=list)
+    refused: dict[int, str] = field(default_factory=dict)
+    motions: list[RehearsedMotion] = field(default_factory=list)
+    _begun: tuple[MotionBegun, float] | None = None
 
-    def __post_init__(self) -> None:
-        self.mover.emit = self._note
-        self.travel = Travel(self.mover, self.work)
-        self.mover.speed = self.rung.share
-        self._begun: tuple[MotionBegun, float] | None = None
-
-    def drive(self, confirm: Confirm | None) -> None:
+    def drive(self, mover: Mover, confirm: Confirm | None) -> None:
         """Visit the stops of the rung, then go home."""
+        self.mover, self.travel = mover, Travel(mover, self.work)
+        mover.emit, mover.speed = self._note, self.rung.share
         forbidden = self.travel.forbidden_stops()
         stops = [stop for stop in self.work.stops if stop not in forbidden][: self.rung.stops]
         if self.rung.stops is None:
-            self.found.refused |= {stop + 1: why for stop, why in forbidden.items()}
+            self.refused |= {stop + 1: why for stop, why in forbidden.items()}
         if stops:
-            self.mover.confirm_first(self._targets(stops[0]), confirm)
+            mover.confirm_first(self._targets(stops[0]), confirm)
         for number, stop in enumerate(stops):
-            self.mover.hold()
-            self.mover.control.tell("rehearse", number, len(stops), f"stop {stop + 1}")
-            self.mover.stop = stop
+            mover.hold()
+            mover.control.tell("rehearse", number, len(stops), f"stop {stop + 1}")
+            mover.stop = stop
             try:
                 self._to_stop(stop)
-                self.found.visited.append(stop + 1)
+                self.visited.append(stop + 1)
             except MotionRefused as error:
-                self.found.refused[stop + 1] = str(error)
+                self.refused[stop + 1] = str(error)
             finally:
-                self.mover.stop = None
-        self.mover.go_home(self.arms)
-        self.mover.control.tell("rehearse", len(stops), len(stops), "done")
+                mover.stop = None
+        mover.go_home(self.arms)
+        mover.control.tell("rehearse", len(stops), len(stops), "done")
 
     def _to_stop(self, stop: int) -> None:
         """Move as collecting does; if only some arms of the cell move, go straight or from home."""
@@ -137,7 +125,7 @@ class _Driver:
             }
             expected_s = begun.expected_s if math.isfinite(begun.expected_s) else 0.0
             stop = None if begun.stop is None else begun.stop + 1
-            self.found.motions.append(
+            self.motions.append(
                 RehearsedMotion(stop=stop, seconds=now_s - since_s, expected_s=expected_s, off_mrad=off_mrad)
             )
             self._begun = None

@@ -8,7 +8,7 @@ Push compensated targets to the arms; with verification, measure the SMRs there 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import permutations
 
 import numpy as np
@@ -23,19 +23,18 @@ from cellapp.cell.driving.verification import (
     Findings,
     Measured,
     Rest,
-    by_arm,
     distance_error_m,
     mean_of,
     measured_rotation,
     predict_at_rest,
+    result_of,
     rms_error_m,
-    summary_of,
 )
 from cellapp.cell.planning.planned_stops import orders, tell_time, visits_s
-from cellapp.cell.targets.invert import invert_model, with_approach
+from cellapp.cell.targets.invert import STEP_BACK_RAD, invert, with_approach
 from cellapp.cell.targets.prediction import Command
 from cellapp.cell.targets.ranges import conditions_of
-from cellapp.cell.targets.records import MeasuredPair, MeasuredTarget, VerifyResult
+from cellapp.cell.targets.records import VerifyResult
 from cellapp.estimation.calibration.least_squares import NORMAL_95
 from cellapp.estimation.uncertainty.budget import Judge
 from cellapp.ground.control import JobControl
@@ -53,9 +52,8 @@ Sides = Mapping[str, Vector]
 CommandFrom = Callable[[str, Vector], Vector]
 """Function: arm and its joint positions (N,) [rad] before, which affect backlash -> its command (N,) [rad]."""
 
-_STEPS_BACK_RAD = (np.radians(1.0), np.radians(0.25))
-"""Step back of a joint that must arrive from a given side [rad]: well beyond any backlash, short enough to stay clear.
-The second one is for arms that are close to something."""
+_STEPS_BACK_RAD = (STEP_BACK_RAD, np.radians(0.25))
+"""The second one is for arms that are close to something."""
 
 
 def drive_to(
@@ -341,20 +339,21 @@ def corrected_command(arm: ArmModel, q: Array, error_M: Array, first_q: Array) -
     """
     rotation_M, _ = arm.flange(q[None])
     aim_M = arm.predict(q[None]) - error_M
-    corrected, reached = invert_model(arm, aim_M, rotation_M, q[None])
-    if not reached[0] and arm.geometry.joints < _POSE:
-        corrected, reached = invert_model(arm, aim_M, np.full((1, 3, 3), np.nan), q[None])
-    if not reached[0]:
+    found = invert(arm, aim_M, rotation_M, q[None])
+    if not found.reached[0] and arm.geometry.joints < _POSE:
+        found = invert(arm, aim_M, np.full((1, 3, 3), np.nan), q[None])
+    if not found.reached[0]:
         raise MotionRefused("correction refused: the calibrated model does not reach the corrected position")
-    far_m = float(np.linalg.norm(np.diff(arm.predict(np.stack([first_q, corrected[0]])), axis=0)))
-    far_rad = float(np.abs(corrected[0] - first_q).max())
+    corrected = found.q[0]
+    far_m = float(np.linalg.norm(np.diff(arm.predict(np.stack([first_q, corrected])), axis=0)))
+    far_rad = float(np.abs(corrected - first_q).max())
     if not (far_m <= FARTHEST_M and far_rad <= _FARTHEST_RAD):
         raise MotionRefused(
             f"correction refused: it leads {far_m * 1e3:.1f} mm and {np.degrees(far_rad):.1f} deg from the model's"
             f" command, at most {FARTHEST_M * 1e3:.0f} mm and {np.degrees(_FARTHEST_RAD):.1f} deg are allowed; look at"
             " the SMR, its mount and the tracker"
         )
-    return np.asarray(corrected[0])
+    return np.asarray(corrected)
 
 
 def unexplained(
@@ -407,31 +406,6 @@ def distance_explained_by_noise(error_m: float, line_M: Array, covariance_M: Arr
     return bool(abs(error_m) <= limit * sigma_m)
 
 
-@dataclass
-class Visited:
-    """Results so far; the caller keeps them if the job is stopped."""
-
-    targets: list[MeasuredTarget] = field(default_factory=list)
-    pairs: list[MeasuredPair] = field(default_factory=list)
-
-    def add(self, found: Findings, judge: Judge, *, verify: bool) -> None:
-        """Add the findings of one target."""
-        self.targets += found.targets(judge)
-        pair = found.pair(judge) if verify else None
-        if pair is not None:
-            self.pairs.append(pair)
-
-    def result(self, stopped: str = "") -> VerifyResult:
-        """Return the result so far; ``stopped`` says why targets are missing."""
-        return VerifyResult(
-            arms=by_arm(self.targets),
-            targets=tuple(self.targets),
-            pairs=tuple(self.pairs),
-            cooperative=summary_of(self.pairs),
-            stopped=stopped,
-        )
-
-
 def push(
     profile: Profile,
     model: CellModel,
@@ -444,7 +418,7 @@ def push(
     judge: Judge | None = None,
     confirm: Confirm | None = None,
     opened: Callable[[Cell], object] = lambda cell: None,
-    visited: Visited | None = None,
+    visited: list[Findings] | None = None,
 ) -> VerifyResult:
     """Send every command to its arm, the other arms at home; if ``verify``, drive both commands and measure.
 
@@ -454,7 +428,7 @@ def push(
 
     ``judge`` decides on tolerances; if None, by the profile alone. ``opened`` is called with the open cell before
     anything moves; an exception from it ends the job. ``confirm`` is called before the first motion. Each target
-    is added to ``visited`` when it is done.
+    is added to ``visited`` when it is done: the caller has them if the job is stopped.
 
     Raises
     ------
@@ -465,7 +439,7 @@ def push(
     Stopped, Aborted
         On request; the arms have been braked.
     """
-    control, visited = control or JobControl(), visited or Visited()
+    control, visited = control or JobControl(), [] if visited is None else visited
     require_same_arms(profile, model, commands)
     if not any(command.q_compensated is not None for command in commands):
         raise InputError("push: none of the targets can be commanded: " + commands[0].refusal)
@@ -483,10 +457,10 @@ def push(
             mover.slow_start(done)
             control.tell("push", done, total, name)
             found = visit.to(own)
-            visited.add(found, judge, verify=verify)
+            visited.append(found)
             agreement.add(found.contradictions())
             if stopped := agreement.broken(ended=done + 1 == total):  # measurements contradict the model
                 break
         mover.go_home()
     control.tell("push", total, total, "done")
-    return visited.result(stopped)
+    return result_of(visited, judge, stopped, verify=verify)

@@ -18,6 +18,7 @@ from cellapp.cell.targets.records import (
     MeasuredRelative,
     MeasuredRotation,
     MeasuredTarget,
+    VerifyResult,
 )
 from cellapp.cell.targets.targets import target_record
 from cellapp.estimation.calibration.quantities import summarise
@@ -194,22 +195,18 @@ class Findings:
 
         notes = [note if note.startswith("arm") else f"arm {name}: {note}" for name, note in self.notes.items()]
         rounds_mm = [off_mm(rest) for rest in self.rounds]
-        tolerance_mm = first.target.tolerance_mm
         kept_mm = rounds_mm[self.best] if rounds_mm else None
         expanded = None if kept_mm is None else self._expanded_mm(self.rounds[self.best], judge)
-        return MeasuredPair(
-            name=first.target.name,
-            arms=(names[0], names[1]),
+        return MeasuredPair.like(
+            first.target,
             wanted_mm=wanted_mm,
             nominal_mm=off_mm(self.nominal),
             compensated_mm=rounds_mm[0] if rounds_mm else None,
-            tolerance_mm=tolerance_mm,
             expanded_mm=expanded,
-            verdict=judge.verdict(kept_mm, expanded, tolerance_mm),
+            verdict=judge.verdict(kept_mm, expanded, first.target.tolerance_mm),
             rounds_mm=tuple(off for off in rounds_mm if off is not None) if self.corrected else (),
             corrected_mm=rounds_mm[self.best] if self.best else None,
             note="; ".join(dict.fromkeys(notes)),
-            orientation_tolerance_mrad=first.target.orientation_tolerance_mrad,
             relative=self._relative(expanded, judge),
         )
 
@@ -235,17 +232,16 @@ class Findings:
             apart_m = float(np.linalg.norm(kept[second.arm].point.p_M - kept[first.arm].point.p_M))
             if expanded_mm is not None:
                 expanded_mm = None if lever is None else math.hypot(expanded_mm, apart_m * lever)
-        return MeasuredRelative(
+        return MeasuredRelative.like(
+            predicted,
             nominal_mm=nominal_mm,
             compensated_mm=off[1][0],
             final_mm=mm,
-            within_mm=None if predicted is None else predicted.within_mm,
             expanded_mm=expanded_mm,
             position_verdict=judge.verdict(mm, expanded_mm, target.tolerance_mm),
             nominal_mrad=nominal_mrad,
             compensated_mrad=off[1][1],
             final_mrad=mrad,
-            within_mrad=None if predicted is None else predicted.within_mrad,
             expanded_mrad=expanded,
             verdict=judge.verdict(mrad, expanded, target.orientation_tolerance_mrad),
         )
@@ -295,11 +291,11 @@ def _rotation(
     expanded = None
     if stated is not None:
         expanded = expanded_mrad(angle_budget(judge.profile, command.arm, stated.model_mrad, stated.noise_mrad))
-    return MeasuredRotation(
+    return MeasuredRotation.like(
+        stated,
         nominal_mrad=angles[0],
         compensated_mrad=angles[1],
         final_mrad=angles[2],
-        within_mrad=None if stated is None else stated.within_mrad,
         expanded_mrad=expanded,
         verdict=judge.verdict(angles[2], expanded, command.target.orientation_tolerance_mrad),
     )
@@ -414,6 +410,25 @@ class Agreement:
 
 
 # -- statistics -------------------------------------------------------------------------------------------------------
+
+
+def result_of(visited: Sequence[Findings], judge: Judge, stopped: str = "", *, verify: bool) -> VerifyResult:
+    """Return the result of the targets visited so far, with the rule by which their tolerances were decided.
+
+    ``stopped`` says why others are missing.
+    """
+    targets = tuple(one for found in visited for one in found.targets(judge))
+    pairs = tuple(pair for found in visited if verify and (pair := found.pair(judge)) is not None)
+    judged = list(dict.fromkeys(one.arm for one in targets if one.tolerance_mm is not None))
+    return VerifyResult(
+        arms=by_arm(targets),
+        targets=targets,
+        pairs=pairs,
+        cooperative=summary_of(pairs),
+        stopped=stopped,
+        rule=judge.rule,
+        not_given=judge.not_given(judged) if verify else (),
+    )
 
 
 def by_arm(targets: Sequence[MeasuredTarget]) -> Mapping[str, ArmVerification]:

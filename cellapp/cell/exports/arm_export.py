@@ -25,12 +25,8 @@ POSES = 1000
 NETWORK, UNNAMED = "residual_network", "unnamed"
 
 
-@dataclass(frozen=True)
-class ExportSpace:
-    """Configurations ``q`` (n, N) [rad] of one arm over which losses are stated, with the conditions there."""
-
-    q: Array
-    conditions: MeasurementConditions
+Space = tuple[Array, MeasurementConditions]
+"""Configurations (n, N) [rad] of one arm over which losses are stated, and the conditions there."""
 
 
 @dataclass(frozen=True)
@@ -68,17 +64,17 @@ class ArmExport:
         return self.model.geometry
 
 
-def workspace(measured_q: Array, conditions: MeasurementConditions, seed: int) -> ExportSpace:
+def workspace(measured_q: Array, conditions: MeasurementConditions, seed: int) -> Space:
     """Sample random configurations within the joint ranges of ``measured_q`` (n, N) [rad].
 
     Each gets the conditions (approach, payload, temperatures, other arm) of a randomly chosen reading.
     """
     rng = np.random.default_rng(seed)
     q = rng.uniform(measured_q.min(axis=0), measured_q.max(axis=0), (POSES, measured_q.shape[1]))
-    return ExportSpace(q, conditions.take(rng.integers(len(measured_q), size=POSES)))
+    return q, conditions.take(rng.integers(len(measured_q), size=POSES))
 
 
-def lost_parts(model: ArmModel, space: ExportSpace) -> dict[str, PositionLoss]:
+def lost_parts(model: ArmModel, space: Space) -> dict[str, PositionLoss]:
     """Return the position error without each effect of a model, and without its network."""
     parts = {
         part: replace(model, effects=tuple(its), network=None)
@@ -89,12 +85,13 @@ def lost_parts(model: ArmModel, space: ExportSpace) -> dict[str, PositionLoss]:
     return {part: lost_by(model.geometry, only, space) for part, only in parts.items()}
 
 
-def lost_by(geometry: Geometry, model: ArmModel, space: ExportSpace) -> PositionLoss:
+def lost_by(geometry: Geometry, model: ArmModel, space: Space) -> PositionLoss:
     """Return position (and, if measured, flange rotation) errors of a rigid chain that replaces a model."""
-    shift = model.predict(space.q, conditions=space.conditions) - smr_positions(geometry, space.q)
+    q, conditions = space
+    shift = model.predict(q, conditions=conditions) - smr_positions(geometry, q)
     errors = {"mm": np.linalg.norm(shift, axis=1) * 1e3}
     if geometry.probe is not None:
-        rotated = flange_poses(geometry, space.q)[0].swapaxes(1, 2) @ model.flange(space.q, space.conditions)[0]
+        rotated = flange_poses(geometry, q)[0].swapaxes(1, 2) @ model.flange(q, conditions)[0]
         errors["mrad"] = np.linalg.norm(rotation_vectors(rotated), axis=1) * 1e3
     found = {f"rms_{unit}": float(np.sqrt(np.mean(error**2))) for unit, error in errors.items()}
     return PositionLoss(**found, **{f"max_{unit}": float(error.max()) for unit, error in errors.items()})

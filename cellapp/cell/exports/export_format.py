@@ -12,7 +12,7 @@ import numpy as np
 
 from cellapp.cell.exports.arm_export import ArmExport
 from cellapp.cell.safety.gate import CellBodies, refuse_motion
-from cellapp.cell.targets.invert import with_approach
+from cellapp.cell.targets.invert import STEP_BACK_RAD, with_approach
 from cellapp.cell.targets.ranges import signs_words
 from cellapp.cell.targets.records import MeasuredTarget, TargetCommand
 from cellapp.ground.errors import InputError
@@ -20,9 +20,6 @@ from cellapp.ground.profile import Arm, Profile
 from cellapp.robot.kinematics.chain import Geometry, plain_geometry
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import CellModel
-
-STEP_BACK_RAD = float(np.radians(1.0))
-"""Step back of a joint that must arrive from the command's side [rad]: well beyond any backlash."""
 
 
 @dataclass(frozen=True)
@@ -66,11 +63,7 @@ def exported_commands(
     records: Sequence[TargetCommand], name: str, model: CellModel, cell: CellBodies, homes: Mapping[str, Array]
 ) -> tuple[ExportedCommand, ...]:
     """Return the commands of one arm with ways from home that the gate has checked, with all other arms at home."""
-    found = []
-    for record in records:
-        way, refusal = _way(record, name, model, cell, homes)
-        found.append(ExportedCommand(record, () if refusal else way, refusal))
-    return tuple(found)
+    return tuple(ExportedCommand(record, *_way(record, name, model, cell, homes)) for record in records)
 
 
 def final_commands(measured: Sequence[MeasuredTarget], computed: Sequence[TargetCommand]) -> tuple[TargetCommand, ...]:

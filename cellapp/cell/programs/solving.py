@@ -16,7 +16,6 @@ from cellapp.cell.programs.script_targets import six
 from cellapp.cell.programs.urscript import pose_matrix, pose_numbers
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import refuse_stop
-from cellapp.cell.targets.invert import Inverted
 from cellapp.estimation.uncertainty.common import beyond, divided
 from cellapp.estimation.uncertainty.records import CommonUncertainty
 from cellapp.ground.counting import counted
@@ -26,7 +25,7 @@ from cellapp.ground.profile import Arm, Profile
 from cellapp.robot.effects import EFFECTS, MeasurementConditions
 from cellapp.robot.effects.law import InputVariable
 from cellapp.robot.kinematics.chain import Geometry, flange_poses
-from cellapp.robot.kinematics.inverse import all_branches, shifted_into, solve_pose
+from cellapp.robot.kinematics.inverse import Inverted, all_branches, shifted_into, solve_pose
 from cellapp.robot.kinematics.transforms import Array, invert, rotation_from_vector, rotation_vectors, transform
 from cellapp.robot.model import ArmModel, CellModel
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cellapp.cell.safety.bodies import ArmBodies, TrackerField, place
-from cellapp.cell.safety.gate import BEAM_RADIUS, CellBodies
+from cellapp.cell.safety.gate import BEAM_RADIUS, CellBodies, clear_stops, visible
 from cellapp.cell.safety.shapes import Cylinder, ObstacleBody, RoundedBox, Shape, load_mesh
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Arm, Profile
@@ -84,6 +84,23 @@ def require_arms(profile: Profile, model: CellModel) -> None:
 def home_positions(profile: Profile) -> dict[str, np.ndarray]:
     """Return the joint positions before and after a job, arm -> (N,) [rad]; only of arms with a home position."""
     return {name: np.array(arm.home) for name, arm in profile.arms.items() if arm.home is not None}
+
+
+def beside_homes(homes: Mapping[str, Array], q: Mapping[str, Array]) -> dict[str, Array]:
+    """Return n stops of all arms, arm -> (n, N) [rad]: some arms at ``q``, the others at home."""
+    n = len(next(iter(q.values())))
+    return {name: q[name] if name in q else np.tile(home, (n, 1)) for name, home in homes.items()}
+
+
+def clear_with_others(cell: CellBodies, homes: Mapping[str, Array], q: Mapping[str, Array]) -> np.ndarray:
+    """Return whether the gate accepts each of n stops of some arms, the others at home, (n,) bool."""
+    return clear_stops(cell, beside_homes(homes, q))
+
+
+def visible_with_others(cell: CellBodies, homes: Mapping[str, Array], name: str, q: Mapping[str, Array]) -> np.ndarray:
+    """Return whether the tracker sees the SMR of arm ``name`` at each of n stops of some arms, the others at home."""
+    others = beside_homes(homes, q)
+    return visible(cell, name, others.pop(name), others)
 
 
 def _arm_bodies(arm: Arm, geometry: Geometry, mounted: Sequence[ObstacleBody]) -> ArmBodies:

@@ -13,13 +13,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions, require_arms
-from cellapp.cell.safety.gate import CellBodies, refuse_stop, visible
+from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions, require_arms, visible_with_others
+from cellapp.cell.safety.gate import CellBodies, refuse_stop
 from cellapp.cell.targets.goals import ArmGoals, goals_of_arm
 from cellapp.cell.targets.invert import (
     LARGEST_CORRECTION,
     Branches,
-    Inverted,
     Picked,
     Positions,
     admissible_configurations,
@@ -38,7 +37,6 @@ from cellapp.cell.targets.prediction import (
 )
 from cellapp.cell.targets.ranges import (
     ConditionRanges,
-    beside,
     conditions_payload,
     from_home,
     sided_commands,
@@ -49,7 +47,7 @@ from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.chain import Geometry
-from cellapp.robot.kinematics.inverse import all_branches, errors_and_jacobian, missed_distances, solve_pose
+from cellapp.robot.kinematics.inverse import Inverted, all_branches, errors_and_jacobian, missed_distances, solve_pose
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel, CellModel
 
@@ -180,7 +178,7 @@ class _Group:
         (other,) = others
         q = at[other] if other in at else np.tile(self.homes[other], (len(rows), 1))
         payload = self.stated[other].payload_kg if other in self.stated else None
-        return beside(stated, self.model.arms[other], q, None if payload is None else payload[rows])
+        return self.model.arms[other].beside(stated, q, None if payload is None else payload[rows])
 
 
 def _commands(group: _Group) -> dict[str, list[Command]]:
@@ -225,7 +223,8 @@ def _of_arm(
     tolerances, wanted = [group.targets[k].orientation_tolerance_mrad for k in rows.tolist()], goal.nominal_rotation_M
     rotations = predicted_rotations(arm, found.q, q_nominal[rows], conditions, wanted[rows], tolerances, home, ranges)
     notes = outside_notes(found.q, conditions, ranges, predicted, arm.bodies.payload_mass)
-    seen, payloads = _seen(group, name, at), conditions_payload(conditions, arm.bodies.payload_mass, len(rows))
+    seen = visible_with_others(group.cell, group.homes, name, at)
+    payloads = conditions_payload(conditions, arm.bodies.payload_mass, len(rows))
     for place, k in enumerate(rows.tolist()):
         rotated = float(found.residual_rad[place])
         commands[k] = replace(
@@ -248,17 +247,6 @@ def _of_arm(
             nominal_rotation_M=goal.nominal_rotation_M[k],
         )
     return commands, Predicted(arm, found.q, conditions, home, predicted, rotations)
-
-
-def _seen(group: _Group, name: str, at: Positions) -> NDArray[np.bool_]:
-    """Return whether the tracker sees an arm's SMR with the arms of a group at ``at``, the others at home."""
-    n = len(at[name])
-    others = {
-        other: at[other] if other in at else np.tile(home, (n, 1))
-        for other, home in group.homes.items()
-        if other != name
-    }
-    return visible(group.cell, name, at[name], others)
 
 
 def _refusals(group: _Group, chosen: Picked) -> dict[int, str]:
@@ -320,8 +308,8 @@ def missed_poses(geometry: Geometry, position_M: Array, rotation_M: Array, home:
     wanted = np.where(free[:, None, None], np.eye(3), rotation_M)
     solved = solve_pose(geometry, position_M, wanted, np.tile(home, (len(wanted), 1)), max_iterations=_ROUNDS)
     words = []
-    nearest = np.where(free, missed_distances(geometry, position_M, home), solved.position_error)
-    for off_m, off_rad, any_rotation in zip(nearest, solved.rotation_error, free, strict=True):
+    nearest = np.where(free, missed_distances(geometry, position_M, home), solved.residual_m)
+    for off_m, off_rad, any_rotation in zip(nearest, solved.residual_rad, free, strict=True):
         if any_rotation:
             words.append(f"out of reach with any rotation: the SMR comes within {off_m * 1e3:.1f} mm")
         elif off_m < _SAME_POSE and off_rad < _SAME_POSE:

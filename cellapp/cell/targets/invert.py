@@ -10,10 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.cell.safety.bodies import place
-from cellapp.cell.safety.gate import CellBodies, clear_alone, clear_stops, visible
+from cellapp.cell.safety.cell_bodies import clear_with_others, visible_with_others
+from cellapp.cell.safety.gate import CellBodies, clear_alone
 from cellapp.ground.errors import NotConverged
 from cellapp.robot.effects import MeasurementConditions
-from cellapp.robot.kinematics.inverse import damped_step, errors_and_jacobian, sampled_configurations, shifted_into
+from cellapp.robot.kinematics.inverse import (
+    Inverted,
+    damped_step,
+    errors_and_jacobian,
+    sampled_configurations,
+    shifted_into,
+)
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
 
@@ -32,42 +39,10 @@ _SETTLED_RAD = 1e-8
 """Joint change [rad] up to which it counts as ended: less than any controller's resolution."""
 _FREE_DAMPING = 1e-12
 """Damping [m^2] of a step to a position with free rotation: far below the squared lever arms."""
+STEP_BACK_RAD = float(np.radians(1.0))
+"""Step back of a joint that must arrive from a side [rad]: well beyond any backlash, short enough to stay clear."""
 _SHIFTED_M = 1e-8
 """Shift of the SMR [m] by a change of approach above which the joints correct it: a hundredth of the allowed error."""
-
-
-@dataclass(frozen=True, eq=False)
-class Inverted:
-    """Commands for n targets.
-
-    Attributes
-    ----------
-    q : array, shape (n, N)
-        Joint positions as the controller reports them [rad].
-    residual_m, residual_rad : array, shape (n,)
-        Distance and angle by which the model misses the targets there; the angle is NaN if the rotation is free.
-    """
-
-    q: Array
-    residual_m: Array
-    residual_rad: Array
-
-    @property
-    def reached(self) -> NDArray[np.bool_]:
-        """Mask (n,) of targets that are reached."""
-        return (self.residual_m < _REACHED) & ~(self.residual_rad >= _REACHED)
-
-    def take(self, rows: NDArray[np.intp]) -> Inverted:
-        """Return the commands of some rows."""
-        return Inverted(self.q[rows], self.residual_m[rows], self.residual_rad[rows])
-
-    def put(self, rows: NDArray[np.intp], of: Inverted, kept: NDArray[np.bool_]) -> None:
-        """Replace the commands of ``rows`` by the ``kept`` ones of ``of``."""
-        self.q[rows], self.residual_m[rows], self.residual_rad[rows] = (
-            of.q[kept],
-            of.residual_m[kept],
-            of.residual_rad[kept],
-        )
 
 
 def invert(
@@ -111,13 +86,7 @@ def invert(
             break
         q[active] += _step(J, errors, free[active])
     rotated = np.where(free, np.nan, np.linalg.norm(error[:, 3:], axis=1))
-    return Inverted(best, np.linalg.norm(error[:, :3], axis=1), rotated)
-
-
-def invert_model(arm: ArmModel, position_M: Array, rotation_M: Array, start: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the controller readings (n, N) [rad] of ``invert``, and the mask (n,) of reached targets."""
-    found = invert(arm, position_M, rotation_M, start)
-    return found.q, found.reached
+    return Inverted(best, np.linalg.norm(error[:, :3], axis=1), rotated, _REACHED)
 
 
 def without_effects(arm: ArmModel, true: Array, conditions: MeasurementConditions) -> Array:
@@ -264,16 +233,14 @@ def judged_branches(cell: CellBodies, homes: Mapping[str, Array], name: str, sol
     clear, seen = np.zeros((2, n, K), dtype=bool)
     flat = q[rows, branch]
     clear[rows, branch] = clear_alone(cell, place(cell.arms[name], flat))
-    others = {other: np.tile(at, (len(flat), 1)) for other, at in homes.items() if other != name}
-    seen[rows, branch] = visible(cell, name, flat, others)
+    seen[rows, branch] = visible_with_others(cell, homes, name, {name: flat})
     return Branches(q, beyond, motion, clear, seen)
 
 
 def admissible_configurations(cell: CellBodies, homes: Mapping[str, Array], name: str, seed: int) -> Array:
     """Sample configurations (m, N) [rad] of an arm that the gate accepts and the tracker sees, the others at home."""
     samples = sampled_configurations(cell.arms[name].limits, homes[name], seed)
-    others = {other: np.tile(at, (len(samples), 1)) for other, at in homes.items() if other != name}
-    samples = samples[visible(cell, name, samples, others)]
+    samples = samples[visible_with_others(cell, homes, name, {name: samples})]
     return np.asarray(samples[clear_with_others(cell, homes, {name: samples})])
 
 
@@ -288,7 +255,10 @@ def choose(cell: CellBodies, homes: Mapping[str, Array], branches: Mapping[str, 
     pick = list(product(*(range(one.q.shape[1]) for one in branches.values())))
     places = {name: np.array([entry[k] for entry in pick]) for k, name in enumerate(branches)}
     nominal = {name: np.full((n, one.q.shape[2]), np.nan) for name, one in branches.items()}
-    unsolved = {name: Inverted(np.full(q.shape, np.nan), *np.full((2, n), np.inf)) for name, q in nominal.items()}
+    unsolved = {
+        name: Inverted(np.full(q.shape, np.nan), np.full(n, np.inf), np.full(n, np.inf), _REACHED)
+        for name, q in nominal.items()
+    }
     chosen = Picked(np.zeros(n, dtype=bool), nominal, unsolved)
     for attempt in range(int(count.max(initial=0))):
         rows = np.flatnonzero(~chosen.accepted & (count > attempt))
@@ -339,9 +309,3 @@ def preferred(branches: Mapping[str, Branches]) -> tuple[NDArray[np.intp], NDArr
         largest = np.maximum(largest[:, :, None], one.motion[0][:, None]).reshape(n, -1)
         total = (total[:, :, None] + one.motion[1][:, None]).reshape(n, -1)
     return np.lexsort((total, largest, ~seen, ~usable), axis=1), np.count_nonzero(usable, axis=1)
-
-
-def clear_with_others(cell: CellBodies, homes: Mapping[str, Array], q: Positions) -> NDArray[np.bool_]:
-    """Return the mask (n,) of stops of some arms that the gate accepts, with the others at home."""
-    n = len(next(iter(q.values())))
-    return clear_stops(cell, {name: q[name] if name in q else np.tile(homes[name], (n, 1)) for name in cell.arms})

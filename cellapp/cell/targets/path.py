@@ -18,8 +18,8 @@ from pydantic import AfterValidator, Field, model_validator
 
 from cellapp.cell.profile.loader import read_yaml, validated
 from cellapp.cell.profile.messages import PlacedError, YamlDocument
-from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions, require_arms
-from cellapp.cell.safety.gate import CellBodies, refuse_motion, refuse_path, visible
+from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions, require_arms, visible_with_others
+from cellapp.cell.safety.gate import CellBodies, refuse_motion, refuse_path
 from cellapp.cell.targets.goals import goals_of_arm
 from cellapp.cell.targets.ranges import load_centers
 from cellapp.cell.targets.target_csv import is_csv
@@ -120,20 +120,14 @@ class PathSpec(Section):
         return self
 
     def targets(self) -> tuple[Target, ...]:
-        """Return poses and points of arcs as targets, in order, in order to find them in the tracker frame."""
-        rpy = self.poses[0].rpy
-        found: list[Target] = []
-        for number, pose in enumerate(self.poses):
+        """Return poses, each after the point of its arc if it has one, as targets to find in the tracker frame."""
+        common: dict[str, Any] = {"arm": self.arm, "frame": self.frame, "work_frame": self.work_frame}
+        found, rpy = list[Target](), self.poses[0].rpy
+        for pose in self.poses:
             rpy = pose.rpy or rpy
-            for kind, position in (("via", pose.via), ("pose", pose.position)):
-                if position is not None:
-                    found.append(self._target(f"{kind} {number + 1}", position, rpy))
+            places = [pose.position] if pose.via is None else [pose.via, pose.position]
+            found += [Target(name=self.name, position=place, rpy=rpy, **common) for place in places]
         return tuple(found)
-
-    def _target(
-        self, name: str, position: tuple[float, float, float], rpy: tuple[float, float, float] | None
-    ) -> Target:
-        return Target(name=name, arm=self.arm, position=position, rpy=rpy, frame=self.frame, work_frame=self.work_frame)
 
 
 class PathList(Section):
@@ -349,9 +343,8 @@ def plan_path(profile: Profile, model: CellModel, spec: PathSpec, period_s: floa
 def paths_of(model: CellModel, spec: PathSpec) -> tuple[CartesianPath, CartesianPath]:
     """Return the wanted path in M relative to the calibrated bases, and relative to the nominal ones."""
     goals = goals_of_arm(model, spec.targets(), spec.arm)
-    names = [target.name for target in spec.targets()]
-    poses = [k for k, name in enumerate(names) if name.startswith("pose")]
-    vias = [k - 1 if pose.via is not None else None for k, pose in zip(poses[1:], spec.poses[1:], strict=True)]
+    poses = np.cumsum([1 + (pose.via is not None) for pose in spec.poses]) - 1
+    vias = [None if pose.via is None else k - 1 for k, pose in zip(poses[1:], spec.poses[1:], strict=True)]
     speeds = np.array([pose.speed or spec.speed for pose in spec.poses[1:]])
     blends = [pose.blend for pose in spec.poses]
     first, second = (
@@ -388,10 +381,8 @@ def path_record(model: CellModel, plan: PathPlan) -> PathRecord:
                 for one in sorted(joints.reversals, key=lambda one: one.at_m)
             ),
         }
-    return PathRecord(
-        name=spec.name,
-        arm=spec.arm,
-        frame=spec.frame,
+    return PathRecord.like(
+        spec,
         tolerance_mm=spec.tolerance * 1e3,
         refusal=plan.refusal,
         length_mm=None if plan.path is None else plan.path.length * 1e3,
@@ -442,7 +433,7 @@ class _Drive:
         for start, end in ((home, run_up), (run_up, trajectory.q[0]), (trajectory.q[-1], home)):
             if refusal := refuse_motion(cell, {**others, spec.arm: start}, {**others, spec.arm: end}):
                 return PathPlan(spec, f"on the way between home and the path: {refusal}", path)
-        unseen = _unseen(cell, spec.arm, trajectory, others)
+        unseen = _unseen(cell, self.homes, spec.arm, trajectory)
         return PathPlan(spec, "", path, joints=joints, trajectory=trajectory, run_up=run_up, unseen_m=unseen)
 
     def nominal(self, path: CartesianPath, branch: Branch) -> Trajectory | None:
@@ -480,12 +471,12 @@ def _conditions(profile: Profile, spec: PathSpec) -> Conditions:
     return of
 
 
-def _unseen(cell: CellBodies, name: str, trajectory: Trajectory, others: Mapping[str, Array]) -> float | None:
+def _unseen(cell: CellBodies, homes: Mapping[str, Array], name: str, trajectory: Trajectory) -> float | None:
     """Return the first arc length [m] where the tracker does not see the SMR; None if it sees the whole path."""
     count = max(2, int(np.ceil(trajectory.s[-1] / _SEEN_EVERY_M)) + 1)
     rows = np.unique(np.searchsorted(trajectory.s, np.linspace(0.0, trajectory.s[-1], count)))
     rows = np.clip(rows, 0, len(trajectory.s) - 1)
-    seen = visible(cell, name, trajectory.q[rows], {other: np.tile(q, (len(rows), 1)) for other, q in others.items()})
+    seen = visible_with_others(cell, homes, name, {name: trajectory.q[rows]})
     return None if seen.all() else float(trajectory.s[rows[int(np.argmin(seen))]])
 
 

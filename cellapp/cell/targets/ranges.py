@@ -46,7 +46,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.targets.invert import Inverted, invert
+from cellapp.cell.targets.invert import invert
 from cellapp.cell.targets.records import UnknownCondition
 from cellapp.cell.targets.targets import Target, WorkingConditions
 from cellapp.estimation.calibration.quantities import measurement_conditions
@@ -62,7 +62,7 @@ from cellapp.robot.effects import (
     displacement,
 )
 from cellapp.robot.kinematics.chain import JointAngles, jacobian, joint_jacobian
-from cellapp.robot.kinematics.statics import base_moment
+from cellapp.robot.kinematics.inverse import Inverted
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
 
@@ -108,14 +108,6 @@ def conditions_payload(conditions: MeasurementConditions, nominal_kg: float, n: 
     """Return the payload (n,) [kg] of n goals: as stated, else the profile's ``nominal_kg``."""
     stated = conditions.payload_kg
     return np.full(n, nominal_kg) if stated is None else np.where(np.isnan(stated), nominal_kg, stated)
-
-
-def beside(
-    conditions: MeasurementConditions, other: ArmModel, q: Array, payload_kg: Array | None
-) -> MeasurementConditions:
-    """Return conditions of n goals with the other arm of two at ``q`` (n, K) [rad], carrying ``payload_kg`` (n,)."""
-    moment = base_moment(other.geometry, other.bodies, q, other.up_M, payload_kg)
-    return replace(conditions, other_q=q, other_moment_M=moment)
 
 
 def _column(values: Sequence[float | None]) -> Array | None:
@@ -636,7 +628,7 @@ def sided_commands(
     sizes = np.where(stated != 0.0, usual, np.abs(step))
     made = replace(conditions, approach=signs, step=sizes * signs)
     again = invert(arm, position_M[rows], rotation_M[rows], q[rows], made.take(rows))
-    kept = Inverted(q.copy(), found.residual_m.copy(), found.residual_rad.copy())
+    kept = found.take(np.arange(len(q)))
     kept.put(rows[again.reached], again, again.reached)
     lost = np.setdiff1d(rows, rows[again.reached])  # such a command stays at the middle, without a side
     signs[lost] = stated[lost]

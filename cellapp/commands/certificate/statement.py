@@ -19,7 +19,7 @@ from cellapp.commands.certificate_result import (
     CertifiedTarget,
     CertifiedTests,
 )
-from cellapp.commands.compensate.words import named_few, unknown_conditions
+from cellapp.commands.compensate.words import unknown_conditions
 from cellapp.commands.run_results import RunResults, evidence_of
 from cellapp.estimation.iso9283.records import CommandedTests, IsoValue
 from cellapp.estimation.uncertainty.budget import (
@@ -30,7 +30,7 @@ from cellapp.estimation.uncertainty.budget import (
     position_budget,
 )
 from cellapp.estimation.uncertainty.records import Characteristic, UncertaintyContribution
-from cellapp.ground.counting import counted
+from cellapp.ground.counting import counted, first_few
 from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Instrument
@@ -224,7 +224,7 @@ def _limits(results: RunResults, verify: VerifyResult) -> list[str]:
         own = verify.of_arm(arm)
         if missing := [target.name for target in own if target.final_mm is None]:
             count = counted(len(own), "target was", "targets were")
-            sentences.append(f"Arm {arm}: {len(missing)} of {count} not measured: {named_few(missing)}.")
+            sentences.append(f"Arm {arm}: {len(missing)} of {count} not measured: {', '.join(first_few(missing))}.")
         corrected = sum(target.corrected_mm is not None for target in own)
         if corrected:
             sentences.append(

@@ -30,7 +30,7 @@ from cellapp.commands.compensate.earlier_commands import refuse_corrected
 from cellapp.commands.compensate.request import CompensateRequest, program_kind
 from cellapp.commands.record import View, six_numbers
 from cellapp.commands.stages import read_stages
-from cellapp.commands.stored_model import model_of, require_own_factory, stage_in_force
+from cellapp.commands.stored_model import model_of, notes_on, require_own_factory, stage_in_force
 from cellapp.commands.view.table import Cell, Table, columns_of, with_rows
 from cellapp.ground.errors import InputError
 from cellapp.ground.file_text import readable
@@ -84,7 +84,6 @@ def correct(run: RunFile, request: CompensateRequest, outputs: Outputs = NEW_ONL
     q = known_readings(run, name).q
     place = Workplace(model_arm, limits, home, q, run.profile.seed, read.payload_kg, request.extrapolate)
     corrected, common = judged(place, read.targets, solve_targets(place, read.targets), every=request.insignificant)
-    stale = stages.stale_arms()
     result = CorrectResult(
         program=str(program),
         out=str(out),
@@ -93,7 +92,7 @@ def correct(run: RunFile, request: CompensateRequest, outputs: Outputs = NEW_ONL
         left=tuple(read.left),
         assumptions=tuple(assumptions(place, settings, read, corrected)),
         notes=(
-            *([f"the model was used although {stale}"] if stale else []),
+            *notes_on(stages.stale_arms()),
             *model_notes(model_arm),
             *read.notes,
             *gate_findings(run.profile, model, name, corrected),

@@ -6,14 +6,14 @@ A list may have thousands of targets: a table shows those that need attention mo
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from operator import itemgetter
 from typing import Any
 
 from cellapp.cell.targets.records import CompensateResult, MeasuredTarget, TargetCommand, VerifyResult
 from cellapp.commands.calibrate.view import MM, error_table
-from cellapp.commands.compensate.words import PART_WORDS, Measured, arms_words, shown_tolerance
+from cellapp.commands.compensate.words import PART_WORDS, arms_words, shown_tolerance
 from cellapp.commands.view.table import Field, Table, urgent_rows, with_rows
 from cellapp.ground.grouping import grouped
 
@@ -120,21 +120,21 @@ def uncertainty_tables(result: CompensateResult) -> list[Table]:
 
 def measured_targets(verify: VerifyResult, arm: str) -> list[MeasuredTarget]:
     """Return the targets of one arm measured with both commands, in the order of tables and charts."""
-    own = [target for target in verify.targets if target.arm == arm]
-    return [target for target in own if None not in (target.nominal_mm, target.compensated_mm)]
+    return [one for one in verify.of_arm(arm) if None not in (one.nominal_mm, one.compensated_mm)]
 
 
 def measured_tables(verify: VerifyResult) -> list[Table]:
-    """Show each target with its errors, one table for each arm; then cooperative targets."""
+    """Show each target with its errors, one table for each arm; then cooperative targets.
+
+    They are numbered as on the axis of the chart beside the table.
+    """
     rotation = partial(_in, "orientation")
     arms = [
         table
         for arm in verify.arms
-        for rows in [measured_targets(verify, arm)]
         for table in urgent_rows(
             f"Arm {arm}: each target",
-            rows,
-            _numbered(rows),
+            measured_targets(verify, arm),
             ("target", "name"),
             ("frame", lambda row: "" if row.frame == "base" else row.frame),
             *_ERRORS,
@@ -147,6 +147,7 @@ def measured_tables(verify: VerifyResult) -> list[Table]:
             ("U", rotation("expanded_mrad"), MM, "mrad"),
             ("rotation met", rotation("verdict")),
             urgency=lambda row: row.final_mm or 0.0,
+            numbered=True,
         )
     ]
     return [*arms, *pair_tables(verify)]
@@ -162,11 +163,10 @@ def pair_tables(verify: VerifyResult) -> list[Table]:
 
     With two probes also the partner's flange seen from the first one.
     """
-    relative, rows = partial(_in, "relative"), [pair for pair in verify.pairs if pair.compensated_mm is not None]
+    relative = partial(_in, "relative")
     return urgent_rows(
         "Cooperative targets: error of the distance between both SMRs",
-        rows,
-        _numbered(rows),
+        [pair for pair in verify.pairs if pair.compensated_mm is not None],
         ("target", "name"),
         ("arms", lambda pair: arms_words(pair.arms)),
         ("distance", "wanted_mm", ".3f", "mm"),
@@ -180,16 +180,11 @@ def pair_tables(verify: VerifyResult) -> list[Table]:
         ("after", relative("final_mrad"), MM, "mrad"),
         ("95 % bound", relative("within_mrad"), MM, "mrad"),
         ("rotation met", relative("verdict")),
+        numbered=True,
     )
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
-
-
-def _numbered(rows: Sequence[Measured]) -> Field:
-    """Return the column with the places of all rows, which the chart beside the table has as its axis."""
-    places = {id(row): str(place) for place, row in enumerate(rows, start=1)}
-    return "number", lambda row: places[id(row)]
 
 
 def _prediction_urgency(target: TargetCommand) -> float:

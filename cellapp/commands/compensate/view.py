@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 
 from cellapp.cell.programs.records import CorrectResult
 from cellapp.cell.targets.path import PathRecord, PathResult
@@ -10,11 +10,11 @@ from cellapp.cell.targets.records import CompensateResult, VerifyResult
 from cellapp.commands.compensate.charts import target_charts
 from cellapp.commands.compensate.program import program_view
 from cellapp.commands.compensate.tables import (
+    all_measured_tables,
     measured_tables,
     predicted_tables,
     stored_tables,
     uncertainty_tables,
-    verification_tables,
 )
 from cellapp.commands.compensate.target_list import TargetState
 from cellapp.commands.compensate.words import (
@@ -131,17 +131,10 @@ def targets_section(
         [
             *(line for line in (*measured, *predicted) if line != message),
             *(chart for chart in charts if not chart.is_empty),
-            *_tables(compensate, verify),
+            *([] if verify is None else all_measured_tables(verify)),
+            *([] if compensate is None or verify is not None else predicted_tables(compensate)),
             *([] if compensate is None else [Section(uncertainty_tables(compensate), folded=True, title=_SOURCES)]),
         ],
         message=message,
         about=_ABOUT,
     )
-
-
-def _tables(compensate: CompensateResult | None, verify: VerifyResult | None) -> Iterator[Table]:
-    if verify is not None:
-        yield from verification_tables(verify)
-        yield from measured_tables(verify)
-    if compensate is not None and verify is None:
-        yield from predicted_tables(compensate)

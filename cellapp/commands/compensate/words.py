@@ -9,7 +9,7 @@ import numpy as np
 
 from cellapp.cell.targets.records import CompensateResult, MeasuredPair, MeasuredTarget, TargetCommand, VerifyResult
 from cellapp.commands.view.words import RULE_WORDS, undecided_words
-from cellapp.ground.counting import counted
+from cellapp.ground.counting import counted, first_few
 from cellapp.ground.grouping import grouped
 
 PART_WORDS: Mapping[str, str] = {
@@ -25,8 +25,6 @@ _MOST_NOTES = 20
 """Most notes on single targets that are printed; the JSON has all."""
 Measured = MeasuredTarget | MeasuredPair
 """A measured target of one arm, or of two."""
-_MOST_NAMED = 5
-"""Most targets that a sentence names; further ones are counted."""
 _ADVICE: Mapping[str, str] = {
     "temperature": "state conditions: {temperature: ...} of the target, or measure again at its temperature",
     "payload": "state conditions: {payload: ...} of the target, or the payload of the arm in the profile",
@@ -108,8 +106,7 @@ def refusal_lines(result: CompensateResult) -> list[str]:
 def note_lines(targets: Sequence[TargetCommand]) -> list[str]:
     """Return the notes on commands that are not refused; only the first of many."""
     lines = [f"target {target.name}, arm {target.arm}: {target.note}" for target in targets if target.note]
-    more = [f"and {counted(len(lines) - _MOST_NOTES, 'more note')} on targets"] if len(lines) > _MOST_NOTES else []
-    return [*lines[:_MOST_NOTES], *more]
+    return first_few(lines, f"and {counted(len(lines) - _MOST_NOTES, 'more note')} on targets", _MOST_NOTES)
 
 
 def unknown_lines(targets: Sequence[TargetCommand]) -> list[str]:
@@ -153,7 +150,7 @@ def _prediction_words(result: CompensateResult) -> list[str]:
                 f"{sum(verdict == word for verdict, _ in judged)} {word}" for word in ("in", "out", "not decided")
             ]
             out = list(dict.fromkeys(name for verdict, name in judged if verdict == "out"))
-            named = f"; out: {named_few(out)}" if out else ""
+            named = f"; out: {', '.join(first_few(out))}" if out else ""
             lines.append(f"tolerances{of}, predicted: {', '.join(counts)}{named}{why}")
     return lines
 
@@ -185,7 +182,7 @@ def _unseen_words(result: CompensateResult) -> list[str]:
     unseen = dict.fromkeys(target.name for target in result.targets if target.visible is False and not target.refusal)
     if not unseen:
         return []
-    return [f"not seen by the tracker, so that a push cannot measure them: {named_few(list(unseen))}"]
+    return [f"not seen by the tracker, so that a push cannot measure them: {', '.join(first_few(list(unseen)))}"]
 
 
 # -- measured ---------------------------------------------------------------------------------------------------------
@@ -293,12 +290,6 @@ def promise_words(verify: VerifyResult) -> list[str]:
     return [f"{sum(known)} of {errors} within the predicted 95 % bound"] if known else []
 
 
-def named_few(names: Sequence[str]) -> str:
-    """Return the first names, and count the others."""
-    more = [f"{len(names) - _MOST_NAMED} more"] if len(names) > _MOST_NAMED else []
-    return ", ".join([*names[:_MOST_NAMED], *more])
-
-
 def _judged(verify: VerifyResult) -> list[Measured]:
     measured: list[Measured] = [*verify.targets, *verify.pairs]
     return [one for one in measured if one.verdict]
@@ -309,5 +300,5 @@ def _tolerance_message(verify: VerifyResult) -> str:
     out = [f"{one.name} ({one.final_mm or 0.0:.3f} mm)" for one in judged if one.verdict == "out"]
     unsure = [f"{one.name} ({one.final_mm or 0.0:.3f} mm)" for one in judged if one.verdict == "not decided"]
     within = f"{len(judged) - len(out) - len(unsure)} of {counted(len(judged), 'measurement')} within tolerance"
-    within += f", {len(out)} out: {named_few(out)}" if out else ""
-    return within + (f", {len(unsure)} not decided: {named_few(unsure)}" if unsure else "")
+    within += f", {len(out)} out: {', '.join(first_few(out))}" if out else ""
+    return within + (f", {len(unsure)} not decided: {', '.join(first_few(unsure))}" if unsure else "")

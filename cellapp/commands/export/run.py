@@ -10,7 +10,6 @@ from cellapp.cell.exports.arm_export import (
     ArmFile,
     CommandFile,
     ExportResult,
-    ExportSpace,
     conversion_mm,
     lost_by,
     lost_parts,
@@ -26,6 +25,7 @@ from cellapp.cell.exports.export_format import (
     first_rates,
 )
 from cellapp.cell.exports.formats import (
+    AnyFormat,
     all_formats,
     check_out,
     export_lines,
@@ -45,15 +45,13 @@ from cellapp.commands.export.request import ExportRequest
 from cellapp.commands.plan.run import export_plan
 from cellapp.commands.record import Request, View, Work
 from cellapp.commands.stages import RunStages, StoredStage, read_stages
-from cellapp.commands.stored_model import model_of, require_own_factory, stage_in_force
+from cellapp.commands.stored_model import model_of, notes_on, require_own_factory, stage_in_force
 from cellapp.estimation.calibration.quantities import conditions_of_arms
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs, require_suffix, write_new
-from cellapp.ground.profile import Profile
 from cellapp.ground.results import CALIBRATE, COMPENSATE, DISCOVER, VERIFY, StageName
 from cellapp.ground.shell import shell_word
 from cellapp.robot.kinematics.transforms import Array, xyz_of
-from cellapp.robot.model import CellModel
 
 
 def export_commands(
@@ -80,8 +78,16 @@ def export_commands(
         raise InputError(f"export: arm '{request.arm}' has no commands of '{stage.name}'; {there}; nothing was written")
     chosen = [request.arm] if request.arm is not None else names
     files = files_of_arms(out, chosen)
-    commands = {name: _of_arm(run, stages, stage, records, name) for name in chosen}
-    texts = {files[name]: form.text(of_arm, _sentences(form, of_arm, run.profile)) for name, of_arm in commands.items()}
+    in_force = stage_in_force(run, stages)
+    source = f"run '{run.folder.resolve().name}', '{stage.name}' of {stage.written}, model of '{in_force.name}'"
+    profile = commanded_profile(run.profile, {name: known_readings(run, name) for name in run.profile.arms})
+    model, homes, commands = model_of(run, in_force), home_positions(profile), dict[str, ArmCommands]()
+    cell = cell_bodies(profile, model)
+    for name in chosen:
+        own = [record for record in records if record.arm == name]
+        arm, ways = profile.arms[name], exported_commands(own, name, model, cell, homes)
+        commands[name] = ArmCommands(name, arm, source, homes[name], *first_rates(run.profile, arm), ways)
+    texts = {files[name]: form.text(of_arm, sentences(form, run, of_arm)) for name, of_arm in commands.items()}
     write_new(texts, outputs)
     return ExportResult(
         format=form.name,
@@ -125,34 +131,6 @@ def _records(run: RunFile, stages: RunStages, stage: StoredStage) -> tuple[Targe
     return final_commands(VerifyResult.from_json(stage.text, f"{run.path}: {VERIFY}").targets, computed)
 
 
-def _of_arm(
-    run: RunFile, stages: RunStages, stage: StoredStage, records: tuple[TargetCommand, ...], name: str
-) -> ArmCommands:
-    in_force = stage_in_force(run, stages)
-    profile = commanded_profile(run.profile, {name: known_readings(run, name) for name in run.profile.arms})
-    model, homes, arm = model_of(run, in_force), home_positions(profile), profile.arms[name]
-    speed, acceleration = first_rates(run.profile, arm)
-    return ArmCommands(
-        name=name,
-        arm=arm,
-        source=f"run '{run.folder.resolve().name}', '{stage.name}' of {stage.written}, model of '{in_force.name}'",
-        home=homes[name],
-        speed=speed,
-        acceleration=acceleration,
-        commands=exported_commands(
-            [record for record in records if record.arm == name], name, model, cell_bodies(profile, model), homes
-        ),
-    )
-
-
-def _sentences(form: CommandFormat, commands: ArmCommands, profile: Profile) -> list[str]:
-    lines = [
-        form_line(form, simulated=profile.is_simulated),
-        f"Arm '{commands.name}' ({commands.arm.type.model}), {commands.source}.",
-    ]
-    return [" ".join(line.splitlines()) for line in lines]  # a line break in a name would end the comment
-
-
 def run(request: ExportRequest, work: Work) -> ExportResult:
     """Write the requested files."""
     with RunFile.open(request.folder) as opened:
@@ -183,8 +161,8 @@ def _export_arms(
         raise InputError(f"export: {run.path} has no calibrated arm '{request.arm}'; arms are {', '.join(exports)}")
     chosen = {name: export for name, export in exports.items() if request.arm in (None, name)}
     files = files_of_arms(out, list(chosen))
-    texts = {files[name]: form.text(export, sentences(form, export, run.profile)) for name, export in chosen.items()}
-    notes = (*_stale_notes(stages.stale_arms()), *_rigid_notes(run, stages, chosen))
+    texts = {files[name]: form.text(export, sentences(form, run, export)) for name, export in chosen.items()}
+    notes = (*notes_on(stages.stale_arms()), *_rigid_notes(run, stages, chosen))
     write_new(texts, outputs)
     return ExportResult(
         format=form.name,
@@ -203,19 +181,13 @@ def _export_cell(
         raise InputError(f"export: --as {form.name} writes all arms in one file; leave --arm out, or take --as urdf")
     check_out(out)
     exports = calibrated_arms(run, stages, request.stage)
-    arms = (line for export in exports.values() for line in _arm_sentences(export))
-    lines = [form_line(form, simulated=run.profile.is_simulated), *arms]
-    notes = (*_stale_notes(stages.stale_model()), *_rigid_notes(run, stages, exports))
-    write_new({out: form.text(exports, lines)}, outputs)
+    notes = (*notes_on(stages.stale_model()), *_rigid_notes(run, stages, exports))
+    write_new({out: form.text(exports, sentences(form, run, *exports.values()))}, outputs)
     return ExportResult(
         format=form.name,
         arms={name: _arm_file(export, out, export.geometry.tool, 0.0) for name, export in exports.items()},
         notes=notes,
     )
-
-
-def _stale_notes(stale: str) -> list[str]:
-    return [f"the model was used although {stale}"] if stale else []
 
 
 def calibrated_arms(run: RunFile, stages: RunStages, stage_name: str | None = None) -> dict[str, ArmExport]:
@@ -225,13 +197,14 @@ def calibrated_arms(run: RunFile, stages: RunStages, stage_name: str | None = No
     model, best = model_of(run, stage), model_of(run, in_force)
     written = model.provenance.get("written", "an unknown time")
     source = f"run '{run.folder.resolve().name}', model of '{stage.name}' written {written}"
-    exports = {}
-    for name, space in _workspaces(run, best).items():
-        own, full = model.arms[name], best.arms[name]
+    readings = {name: known_readings(run, name) for name in best.arms}
+    conditions, exports = conditions_of_arms(best.arms, readings), {}
+    for name, full in best.arms.items():
+        own, space = model.arms[name], workspace(readings[name].q, conditions[name], run.profile.seed)
         lost = lost_parts(full, space)
         together = lost_by(own.geometry, full, space) if lost or stage is not in_force else None
         parts = lost if stage is in_force else {}
-        exports[name] = ArmExport(name, run.profile.arms[name], own, source, space.q, parts, together)
+        exports[name] = ArmExport(name, run.profile.arms[name], own, source, space[0], parts, together)
     return exports
 
 
@@ -241,12 +214,6 @@ def _stage(run: RunFile, stages: RunStages, name: str) -> StoredStage:
         there = [stage for stage in (CALIBRATE, DISCOVER) if stage in stages.current]
         raise InputError(f"export: {run.path} has no model of a stage '{name}'; there are {', '.join(there)}")
     return found
-
-
-def _workspaces(run: RunFile, model: CellModel) -> dict[str, ExportSpace]:
-    readings = {name: known_readings(run, name) for name in model.arms}
-    conditions = conditions_of_arms(model.arms, readings)
-    return {name: workspace(own.q, conditions[name], run.profile.seed) for name, own in readings.items()}
 
 
 def _rigid_notes(run: RunFile, stages: RunStages, exports: Mapping[str, ArmExport]) -> list[str]:
@@ -267,23 +234,18 @@ def _rigid_notes(run: RunFile, stages: RunStages, exports: Mapping[str, ArmExpor
     return notes
 
 
-def sentences(form: ExportFormat, export: ArmExport, profile: Profile) -> list[str]:
-    """Return the head of every file: the arm, its source, and what the file does not represent."""
-    return [form_line(form, simulated=profile.is_simulated), *_arm_sentences(export, listed=form.lists_effects)]
-
-
-def _arm_sentences(export: ArmExport, *, listed: bool = False) -> list[str]:
-    lines = [
-        f"Arm '{export.name}' ({export.arm.type.model}), {export.source}.",
-        *lost_sentences(export.lost, export.lost_together, listed=listed),
-    ]
+def sentences(form: AnyFormat, run: RunFile, *arms: ArmExport | ArmCommands) -> list[str]:
+    """Return the head of every file: the arms, their source, and what the file does not represent of a model."""
+    lines, listed = [form_line(form, simulated=run.profile.is_simulated)], getattr(form, "lists_effects", False)
+    for arm in arms:
+        lines.append(f"Arm '{arm.name}' ({arm.arm.type.model}), {arm.source}.")
+        if isinstance(arm, ArmExport):
+            lines += lost_sentences(arm.lost, arm.lost_together, listed=listed)
     return [" ".join(line.splitlines()) for line in lines]  # a line break in a name would end the comment
 
 
 def _arm_file(export: ArmExport, file: Path, smr: Array, off_mm: float) -> ArmFile:
-    return ArmFile(
-        file=str(file), smr_m=xyz_of(smr), conversion_mm=off_mm, lost=export.lost, lost_together=export.lost_together
-    )
+    return ArmFile.like(export, file=str(file), smr_m=xyz_of(smr), conversion_mm=off_mm)
 
 
 def _export_tables(run: RunFile, request: ExportRequest, outputs: Outputs) -> ExportResult:

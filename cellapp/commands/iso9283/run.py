@@ -104,9 +104,9 @@ def iso9283_run(run: RunFile, request: Iso9283Request, work: Work) -> Iso9283Res
         except (CellappError, Cancelled) as error:
             if findings.measured.visits or findings.paths:
                 with suppress(InputError):  # report the reason of the halt, not this error
-                    _store(run, used, _result(run.profile, task, findings, began, f"stopped: {error}"), findings)
+                    _store(run, used, _result(task, findings, began, f"stopped: {error}"), findings)
             raise
-        return _store(run, used, _result(run.profile, task, findings, began, ""), findings)
+        return _store(run, used, _result(task, findings, began, ""), findings)
 
 
 def opened_run(folder: Path, profile: Profile | None, *, new: bool) -> RunFile:
@@ -196,18 +196,16 @@ def _notes(task: IsoTask, stages: RunStages, used: StoredStage | None) -> list[s
     return notes
 
 
-def _result(profile: Profile, task: IsoTask, found: IsoFindings, began: str, stopped: str) -> Iso9283Result:
-    rng = np.random.default_rng([profile.seed, _SEED])
-    arms, pairs = arm_results(profile, found, task.arms, rng), pair_results(found, rng)
+def _result(task: IsoTask, found: IsoFindings, began: str, stopped: str) -> Iso9283Result:
+    profile, rng = task.profile, np.random.default_rng([task.profile.seed, _SEED])
+    arms, pairs = arm_results(task, found, rng), pair_results(found, rng)
     angles = any(one.orientations for one in found.measured.visits)
     air = [one.temperature_c for one in found.measured.visits if one.temperature_c is not None]
-    conditions = IsoConditions(
-        cycles=task.cycles,
+    conditions = IsoConditions.like(
+        task,
         speed_share=task.speed,
         dwell_s=DWELL_S,
         averaging_s=profile.tracker.averaging,
-        commands=task.commands,
-        also_speeds=task.also_speeds,
         began=began,
         seconds=found.seconds,
         temperature_c=(min(air), max(air)) if air else None,

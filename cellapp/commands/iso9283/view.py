@@ -14,7 +14,7 @@ from cellapp.commands.view.charts import Axis, Chart, series
 from cellapp.commands.view.parts import Part, Section, section_of
 from cellapp.commands.view.table import Field, Table, table_of, with_rows
 from cellapp.commands.view.words import CHARACTERISTIC_WORDS, RULE_WORDS, judged_sentence, judgement_table
-from cellapp.estimation.iso9283.norm import ISO_COMMANDS, IsoCommands
+from cellapp.estimation.iso9283.norm import ISO_COMMANDS, IsoCommands, IsoTest
 from cellapp.estimation.iso9283.records import Iso9283Result, IsoValue
 from cellapp.ground.counting import counted, mm
 from cellapp.ground.grouping import grouped
@@ -24,6 +24,56 @@ _UNCERTAIN_SHARE = 0.25
 _COMMANDED: tuple[Field, ...] = (("arm", "arm"), ("commands", "commands"))
 """First columns of a table of ``_Commanded``."""
 _AT_SPEED: Field = ("speed", "speed_share", ".0f", "%")
+
+
+def _pair_fields(first: str, second: str, of: str = "one") -> Iterator[Field]:
+    """Yield accuracy and repeatability with their expanded uncertainties, and the number of cycles."""
+    for name, attribute in ((first, "accuracy"), (second, "repeatability")):
+        yield name, f"{of}.{attribute}.value_mm", ".3f"
+        yield f"U({name})", f"{of}.{attribute}.expanded_mm", ".3f"
+    yield "n", f"{of}.accuracy.n", "d"
+
+
+_POSE: Field = ("pose", "one.pose")
+_TESTS: Mapping[IsoTest, tuple[str, tuple[Field, ...]]] = {
+    "pose": ("Pose accuracy AP and repeatability RP [mm]", (_AT_SPEED, _POSE, *_pair_fields("AP", "RP"))),
+    "multidirectional": (
+        "Multi-directional pose accuracy variation vAP [mm]",
+        (
+            _POSE,
+            ("vAP", "one.variation.value_mm", ".3f"),
+            ("U", "one.variation.expanded_mm", ".3f"),
+            ("n", "one.variation.n", "d"),
+        ),
+    ),
+    "distance": (
+        "Distance accuracy AD and repeatability RD [mm]",
+        (
+            ("between", lambda row: " and ".join(row.one.between)),
+            ("commanded", "one.commanded_mm", ".3f"),
+            *_pair_fields("AD", "RD"),
+        ),
+    ),
+    "drift": (
+        "Drift at P1 [mm]",
+        (
+            ("observed", "one.minutes", ".0f", "min"),
+            *[*_pair_fields("dAP", "dRP")][:-1],
+            ("shift of the mean", "one.shift_mm", ".3f"),
+            ("groups", lambda row: len(row.one.groups), "d"),
+        ),
+    ),
+    "path": (
+        "Path accuracy AT and repeatability RT [mm]",
+        (
+            ("path", "one.path"),
+            ("speed", "one.speed_mm_s", ".0f", "mm/s"),
+            ("length", "one.length_mm", ".0f"),
+            *_pair_fields("AT", "RT"),
+        ),
+    ),
+}
+"""Title and columns of the table of each test of one arm."""
 
 
 def view(result: Iso9283Result, request: Iso9283Request | None = None) -> View:
@@ -47,12 +97,13 @@ def iso9283_tables(result: Iso9283Result) -> list[Table]:
 
 
 def _deciding_tables(result: Iso9283Result) -> list[Table]:
-    measured = (_poses(result), _orientations(result), _cooperative(result), _distances(result))
+    measured = (_of_test(result, "pose"), _orientations(result), _cooperative(result), _of_test(result, "distance"))
     return with_rows(judgement_table(result.judgements), *measured, _coverage(result))
 
 
 def _other_tables(result: Iso9283Result) -> list[Table]:
-    return with_rows(_directions(result), _drift(result), _paths(result), _velocities(result), _cubes(result))
+    others: tuple[IsoTest, ...] = ("multidirectional", "drift", "path")
+    return with_rows(*(_of_test(result, test) for test in others), _velocities(result), _cubes(result))
 
 
 def iso9283_sentences(result: Iso9283Result) -> list[str]:
@@ -148,15 +199,9 @@ def _refused(result: Iso9283Result) -> Iterator[str]:
 # -- tables -----------------------------------------------------------------------------------------------------------
 
 
-def _poses(result: Iso9283Result) -> Table:
-    return table_of(
-        "Pose accuracy AP and repeatability RP [mm]",
-        _measured(result, "pose"),
-        *_COMMANDED,
-        _AT_SPEED,
-        ("pose", "one.pose"),
-        *_pair_fields("AP", "RP"),
-    )
+def _of_test(result: Iso9283Result, test: IsoTest) -> Table:
+    title, fields = _TESTS[test]
+    return table_of(title, _measured(result, test), *_COMMANDED, *fields)
 
 
 def _orientations(result: Iso9283Result) -> Table:
@@ -166,7 +211,7 @@ def _orientations(result: Iso9283Result) -> Table:
         [row for row in _measured(result, "pose") if row.one.orientation is not None],
         *_COMMANDED,
         _AT_SPEED,
-        ("pose", "one.pose"),
+        _POSE,
         *(
             (f"{short} {axis}", lambda row, what=what, place=place: getattr(row.one.orientation, what)[place], ".3f")
             for short, what in (("AP", "accuracy_mrad"), ("RP", "repeatability_mrad"))
@@ -189,54 +234,6 @@ def _cooperative(result: Iso9283Result) -> Table:
     *distances, _ = _pair_fields("AD", "RD", "distance")
     title = "Cooperative accuracy and repeatability [mm]: vector and distance between both SMRs"
     return table_of(title, rows, *_COMMANDED, ("poses", "one.pose"), *vectors, *distances, n)
-
-
-def _directions(result: Iso9283Result) -> Table:
-    return table_of(
-        "Multi-directional pose accuracy variation vAP [mm]",
-        _measured(result, "multidirectional"),
-        *_COMMANDED,
-        ("pose", "one.pose"),
-        ("vAP", "one.variation.value_mm", ".3f"),
-        ("U", "one.variation.expanded_mm", ".3f"),
-        ("n", "one.variation.n", "d"),
-    )
-
-
-def _distances(result: Iso9283Result) -> Table:
-    return table_of(
-        "Distance accuracy AD and repeatability RD [mm]",
-        _measured(result, "distance"),
-        *_COMMANDED,
-        ("between", lambda row: " and ".join(row.one.between)),
-        ("commanded", "one.commanded_mm", ".3f"),
-        *_pair_fields("AD", "RD"),
-    )
-
-
-def _drift(result: Iso9283Result) -> Table:
-    *pairs, _ = _pair_fields("dAP", "dRP")
-    return table_of(
-        "Drift at P1 [mm]",
-        _measured(result, "drift"),
-        *_COMMANDED,
-        ("observed", "one.minutes", ".0f", "min"),
-        *pairs,
-        ("shift of the mean", "one.shift_mm", ".3f"),
-        ("groups", lambda row: len(row.one.groups), "d"),
-    )
-
-
-def _paths(result: Iso9283Result) -> Table:
-    return table_of(
-        "Path accuracy AT and repeatability RT [mm]",
-        _measured(result, "path"),
-        *_COMMANDED,
-        ("path", "one.path"),
-        ("speed", "one.speed_mm_s", ".0f", "mm/s"),
-        ("length", "one.length_mm", ".0f"),
-        *_pair_fields("AT", "RT"),
-    )
 
 
 def _velocities(result: Iso9283Result) -> Table:
@@ -317,14 +314,6 @@ def _measured(result: Iso9283Result, what: str) -> list[_Commanded]:
 def _all(found: Any) -> Sequence[Any]:
     """Return what was found as a sequence: of drift there is one, or none."""
     return found if isinstance(found, tuple) else () if found is None else (found,)
-
-
-def _pair_fields(first: str, second: str, of: str = "one") -> Iterator[Field]:
-    """Yield accuracy and repeatability with their expanded uncertainties, and the number of cycles."""
-    for name, attribute in ((first, "accuracy"), (second, "repeatability")):
-        yield name, f"{of}.{attribute}.value_mm", ".3f"
-        yield f"U({name})", f"{of}.{attribute}.expanded_mm", ".3f"
-    yield "n", f"{of}.accuracy.n", "d"
 
 
 def iso9283_charts(result: Iso9283Result) -> list[Chart]:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from contextlib import suppress
 
 from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.cell_checks import carrying, check_cell
 from cellapp.cell.driving.requests import running_job
-from cellapp.cell.driving.target_visit import Visited, push
+from cellapp.cell.driving.target_visit import push
+from cellapp.cell.driving.verification import Findings, result_of
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.recordings import all_known_readings
 from cellapp.cell.targets.records import VerifyResult
@@ -65,16 +65,18 @@ def push_targets(run: RunFile, request: PushRequest, work: Work) -> VerifyResult
     commands, compensated = compensated_commands(run, stages, targets)
     # simulated cell: the tracker where it stands now
     profile = carrying(profile_at_station(run, stages), ((one.arm, one.payload_kg) for one in commands))
-    used, visited, judge, notes = stage_in_force(run, stages), Visited(), judge_of(run, profile), [*compensated.notes]
+    used, visited = stage_in_force(run, stages), list[Findings]()
+    judge, notes = judge_of(run, profile), [*compensated.notes]
 
     def opened(cell: Cell) -> None:
         notes.extend(check_cell(run, cell, commands, changed_controller=request.out_of_date))
 
     def store(pushed: VerifyResult) -> VerifyResult:
-        result = _judged(pushed, judge, notes, verify=request.verify).model_copy(update={"common": compensated.common})
+        said = [f"target {target.name}: {target.note}" for target in pushed.targets if target.note]
+        result = pushed.model_copy(update={"notes": (*notes, *said), "common": compensated.common})
         if request.verify and not result.arms:  # it would take the place of an earlier verification that holds
-            said = "no target was measured; nothing is stored, an earlier verification still counts"
-            return result.model_copy(update={"notes": (*result.notes, said)})
+            kept = "no target was measured; nothing is stored, an earlier verification still counts"
+            return result.model_copy(update={"notes": (*result.notes, kept)})
         append_stage(run, VERIFY if request.verify else PUSH, result, basis_on_model(run, used, targets))
         return result
 
@@ -93,20 +95,13 @@ def push_targets(run: RunFile, request: PushRequest, work: Work) -> VerifyResult
             visited=visited,
         )
     except (CellappError, Cancelled) as error:
-        if visited.targets:
-            asked, done = len({one.target.name for one in commands}), len({one.name for one in visited.targets})
+        if visited:
+            asked = len({one.target.name for one in commands})
+            stopped = f"stopped after {len(visited)} of {counted(asked, 'target')}: {error}"
             with suppress(InputError):  # report the reason of the halt, not this error
-                store(visited.result(f"stopped after {done} of {counted(asked, 'target')}: {error}"))
+                store(result_of(visited, judge, stopped, verify=request.verify))
         raise
     return store(pushed)
-
-
-def _judged(pushed: VerifyResult, judge: Judge, notes: Sequence[str], *, verify: bool) -> VerifyResult:
-    """Return the result with notes on the job and its targets, and with the decision rule of its tolerances."""
-    said = (f"target {target.name}: {target.note}" for target in pushed.targets if target.note)
-    judged = list(dict.fromkeys(one.arm for one in pushed.targets if one.tolerance_mm is not None))
-    not_given = judge.not_given(judged) if verify else ()
-    return pushed.model_copy(update={"notes": (*notes, *said), "rule": judge.rule, "not_given": not_given})
 
 
 def judge_of(run: RunFile, profile: Profile) -> Judge:

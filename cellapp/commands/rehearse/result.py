@@ -1,4 +1,4 @@
-"""Result of ``rehearse``, and the record of the rungs beside a profile."""
+"""The record of the rungs of a rehearsal beside a profile."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Mapping
 from pathlib import Path
 
-from cellapp.cell.driving.records import RehearsedMotion
+from cellapp.cell.driving.records import RehearseResult
 from cellapp.cell.driving.rehearsal_rungs import RUNGS, RungName
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.file import noted_profile, rehearsals_path
@@ -15,30 +15,6 @@ from cellapp.ground.file_text import file_text
 from cellapp.ground.outputs import RENEWED
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import Result
-
-
-class RehearseResult(Result, schema="cellapp-rehearse"):
-    """``rehearse``: what happened on one rung; stops count from 1.
-
-    ``controllers`` are arm -> model, serial number and software. ``ended`` is why it ended early, else empty.
-    ``missing`` are the rungs that are not passed yet.
-    """
-
-    rung: RungName
-    arms: tuple[str, ...]
-    when: str
-    controllers: Mapping[str, str]
-    visited: tuple[int, ...]
-    refused: Mapping[int, str]
-    motions: tuple[RehearsedMotion, ...]
-    notes: tuple[str, ...] = ()
-    ended: str = ""
-    missing: tuple[RungName, ...] = ()
-
-    @property
-    def passed(self) -> bool:
-        """Whether the rung counts: it did not end early, and every stop that was not refused was reached."""
-        return not self.ended and bool(self.visited)
 
 
 class RehearsalLog(Result, schema="cellapp-rehearsals"):

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
 from pathlib import Path
 
 from cellapp.cell.driving.motion import Confirm
-from cellapp.cell.driving.rehearsal import Rehearsal, rehearse
+from cellapp.cell.driving.records import RehearseResult
+from cellapp.cell.driving.rehearsal import rehearse
 from cellapp.cell.driving.rehearsal_rungs import RUNGS, RungName
 from cellapp.cell.driving.requests import running_job
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.file import note_profile
-from cellapp.cell.run.run_arms import recorded_controllers
 from cellapp.commands.confirm import Ask, first_path_words, require_permission
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.commands.record import Work
 from cellapp.commands.rehearse.request import RehearseRequest
-from cellapp.commands.rehearse.result import RehearseResult, missing_rungs, read_log, write_log
+from cellapp.commands.rehearse.result import missing_rungs, read_log, write_log
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 
@@ -38,8 +37,7 @@ def run(request: RehearseRequest, work: Work) -> RehearseResult:
         note_profile(opened, path)
         confirm = _confirmation(profile, work.ask(profile.name), name)
         with running_job(opened, work.control, "rehearse"):
-            found = rehearse(opened, name, arms, work.control, confirm)
-        result = _result(opened, name, arms, found)
+            result = rehearse(opened, name, arms, work.control, confirm)
     log = log.model_copy(update={"rungs": {**log.rungs, name: result}})
     result = result.model_copy(update={"missing": missing_rungs(log)})
     write_log(path, log)
@@ -86,19 +84,3 @@ def _confirmation(profile: Profile, ask: Ask | None, name: RungName) -> Confirm 
     if ask is None or not profile.moves_hardware:
         return None
     return lambda start, targets: ask(f"Rehearse {RUNGS[name].words}.\n{first_path_words(profile, start, targets)}")
-
-
-def _result(run: RunFile, name: RungName, arms: tuple[str, ...], found: Rehearsal) -> RehearseResult:
-    return RehearseResult(
-        rung=name,
-        arms=arms,
-        when=datetime.now(UTC).isoformat(timespec="seconds"),
-        controllers={
-            arm: f"{its.model} {its.serial}, {its.software}" for arm, its in recorded_controllers(run).items()
-        },
-        visited=tuple(found.visited),
-        refused=dict(sorted(found.refused.items())),
-        motions=tuple(found.motions),
-        notes=found.notes,
-        ended=found.ended,
-    )

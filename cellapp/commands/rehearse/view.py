@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from cellapp.cell.driving.records import RehearseResult
 from cellapp.cell.driving.rehearsal_rungs import RUNGS
 from cellapp.commands.record import Request, View
-from cellapp.commands.rehearse.result import RehearsalLog, RehearseResult
+from cellapp.commands.rehearse.result import RehearsalLog
 from cellapp.commands.view.parts import Section
 from cellapp.commands.view.table import Cell, Table, columns_of
 from cellapp.ground.counting import counted

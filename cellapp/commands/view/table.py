@@ -138,15 +138,22 @@ def _shown(value: Any, unit: str) -> Any:
 
 
 def urgent_rows(
-    title: str, rows: Sequence[R], *fields: Field, urgency: Callable[[R], float] = lambda row: 0.0
+    title: str,
+    rows: Sequence[R],
+    *fields: Field,
+    urgency: Callable[[R], float] = lambda row: 0.0,
+    numbered: bool = False,
 ) -> list[Table]:
     """Show at most ``MOST_ROWS`` rows, those with the largest urgency in their order; without columns that are empty.
 
-    No table without rows.
+    No table without rows. If ``numbered``, the first column has the places of the rows among all, from 1.
     """
-    chosen = sorted(range(len(rows)), key=lambda row: (-urgency(rows[row]), row))[:MOST_ROWS]
-    whole = part_title(title, len(chosen), len(rows))
-    return with_rows(without_empty(table_of(whole, [rows[row] for row in sorted(chosen)], *fields)))
+    chosen = sorted(sorted(range(len(rows)), key=lambda row: (-urgency(rows[row]), row))[:MOST_ROWS])
+    table = table_of(part_title(title, len(chosen), len(rows)), [rows[row] for row in chosen], *fields)
+    if numbered:
+        cells = tuple((str(row + 1), *its) for row, its in zip(chosen, table.rows, strict=True))
+        table = Table(table.title, (Column("number"), *table.columns), cells)
+    return with_rows(without_empty(table))
 
 
 def part_title(title: str, shown: int, count: int) -> str:

@@ -16,7 +16,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import scipy
@@ -29,7 +29,6 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Arm
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.chain import Geometry, flange_poses, nominal_geometry
-from cellapp.robot.kinematics.statics import base_moment
 from cellapp.robot.kinematics.transforms import (
     Array,
     apply,
@@ -129,12 +128,9 @@ def predicted_points(model: CellModel, points: Points) -> dict[str, Array]:
 def beside(
     model: CellModel, name: str, conditions: MeasurementConditions, other_q: Array | None
 ) -> MeasurementConditions:
-    """Return conditions of an arm with the other one of two at ``other_q`` (n, K) [rad], in the frame of ``model``."""
-    if other_q is None:
-        return conditions
-    other = next(arm for one, arm in model.arms.items() if one != name)
-    moment = base_moment(other.geometry, other.bodies, other_q, other.up_M)
-    return replace(conditions, other_q=other_q, other_moment_M=moment)
+    """Return conditions of an arm with the other one of two at ``other_q`` (n, K) [rad], where both are known."""
+    other = model.other(name)
+    return conditions if other is None or other_q is None else other.beside(conditions, other_q)
 
 
 def fit_station(

@@ -350,11 +350,6 @@ _CIRCLE_POINTS = 4
 """Number of points on the circle, which is two arcs through them."""
 
 
-def plane_name(plane: tuple[str, str, str, str]) -> str:
-    """Return the plane's name in the standard, "C1-C2-C7-C8"."""
-    return "-".join(plane)
-
-
 def pose_positions(centre: Array, edge: float, plane: tuple[str, str, str, str]) -> dict[str, Array]:
     """Return positions (3,) [m] of P1 to P5 for a cube about ``centre`` (3,) [m]; P2 to P5 are near the corners."""
     reach = 0.5 * edge * (1.0 - 2.0 * _INSET)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -43,6 +44,7 @@ from cellapp.estimation.iso9283.records import (
     PoseCharacteristics,
 )
 from cellapp.robot.kinematics.transforms import Array, quaternions_of, rotation_vectors, rotations_of, xyz_of
+from cellapp.robot.paths.cartesian import CartesianPath
 
 _MINUTE_S = 60.0
 _COVERAGE = 2.0
@@ -344,6 +346,10 @@ _SAME_STRETCH_M = 0.02
 _MIDDLE = (0.25, 0.75)
 """Shares of a path's length between which the velocity is evaluated: no ramp reaches there."""
 _SAMPLES = 200
+_PLACES = 50
+"""Number of positions along each path where it is evaluated; the standard requires at least ten."""
+_ENDS = 0.02
+"""Fraction of the path left out at each end: the arm is at rest there, and no plane is crossed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -367,14 +373,8 @@ class PathRuns:
     arm, commands, name : str
     speed : float
         Commanded speed [m/s].
-    length : float
-        Length of the path [m].
-    commanded_M, tangents_M : array, shape (m, 3)
-        Points on the commanded path [m], and its unit tangents there.
-    s : array, shape (m,)
-        Arc lengths of these points [m].
-    tracks : list of PathTrack
-        One for each cycle.
+    path : CartesianPath
+        The commanded path.
     tracker, frame : array, shape (3, 3)
         Covariances as in ``Cycles`` [m^2].
     wanted : int
@@ -383,6 +383,8 @@ class PathRuns:
         Why the planned motion does not keep the commanded speed; empty if it does.
     series : float
         Share of the profile's speed if the test is repeated at another speed, else 0.
+    tracks : list of PathTrack
+        One for each cycle.
     problems : list of str
         Why fewer cycles were driven.
     """
@@ -391,17 +393,22 @@ class PathRuns:
     commands: IsoCommands
     name: str
     speed: float
-    length: float
-    commanded_M: Array
-    tangents_M: Array
-    s: Array
-    tracks: list[PathTrack]
+    path: CartesianPath
     tracker: Array
     frame: Array
     wanted: int
     slowed: str = ""
     series: float = 0.0
+    tracks: list[PathTrack] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
+
+    @cached_property
+    def places(self) -> tuple[Array, Array, Array]:
+        """Arc lengths (m,) [m], positions (m, 3) [m] and unit tangents (m, 3) where the path is evaluated."""
+        length = self.path.length
+        s, half = length * np.linspace(_ENDS, 1.0 - _ENDS, _PLACES), 1e-4 * length
+        chord = self.path.positions(s + half) - self.path.positions(s - half)
+        return s, self.path.positions(s), chord / np.linalg.norm(chord, axis=1, keepdims=True)
 
 
 def path_characteristics(runs: PathRuns, rng: np.random.Generator) -> PathCharacteristics | None:
@@ -410,18 +417,17 @@ def path_characteristics(runs: PathRuns, rng: np.random.Generator) -> PathCharac
     if len(runs.tracks) < FEWEST_CYCLES:
         return None
     points = [np.column_stack([one.p_M, one.time_s]) for one in runs.tracks]
-    crossed = np.stack(
-        [plane_crossings(one, runs.commanded_M, runs.tangents_M, _SAME_STRETCH_M) for one in points], axis=1
-    )
+    _, commanded_M, tangents_M = runs.places
+    crossed = np.stack([plane_crossings(one, commanded_M, tangents_M, _SAME_STRETCH_M) for one in points], axis=1)
     kept = np.isfinite(crossed).all(axis=(1, 2))
     if not kept.any():
         return None
     places = crossed[kept, :, :3]
-    accuracy, repeatability = path_values(places, runs.commanded_M[kept], runs.tracker, runs.frame, rng)
+    accuracy, repeatability = path_values(places, commanded_M[kept], runs.tracker, runs.frame, rng)
     return PathCharacteristics(
         path=runs.name,
         speed_mm_s=runs.speed * 1e3,
-        length_mm=runs.length * 1e3,
+        length_mm=runs.path.length * 1e3,
         points=int(kept.sum()),
         accuracy=accuracy,
         repeatability=repeatability,
@@ -435,12 +441,13 @@ def path_characteristics(runs: PathRuns, rng: np.random.Generator) -> PathCharac
 
 def _velocity(runs: PathRuns, times: Array, rng: np.random.Generator) -> PathVelocity | None:
     """Compute AV, RV and FV over the middle half of a path; None if a plane there was not crossed."""
-    middle = (runs.s >= _MIDDLE[0] * runs.length) & (runs.s <= _MIDDLE[1] * runs.length)
+    s, _, tangents_M = runs.places
+    middle = (s >= _MIDDLE[0] * runs.path.length) & (s <= _MIDDLE[1] * runs.path.length)
     if middle.sum() < 3 or not np.isfinite(times[:, middle]).all():
         return None
-    n, s = len(times), runs.s[middle]
+    n, s = len(times), s[middle]
     found = speeds(times[:, middle], s)
-    sigma_m = float(np.sqrt(np.einsum("ma,ab,mb->m", runs.tangents_M, runs.tracker, runs.tangents_M).mean()))
+    sigma_m = float(np.sqrt(np.einsum("ma,ab,mb->m", tangents_M, runs.tracker, tangents_M).mean()))
     noise_s = sigma_m / runs.speed * rng.standard_normal((_SAMPLES, 1, len(s)))
     even = (s - s[0]) / runs.speed
     alone = [velocity_fluctuation(speeds(even + noise, s)) for noise in noise_s]
@@ -486,7 +493,7 @@ def raw_rows(
             yield _row("measured", _place_cells(one.place, name), p_M, counted, quaternion=quaternion)
     for runs in paths:
         where = ("path", runs.commands, runs.arm, runs.name, "", _percent(runs.series))
-        for place_M, tangent_M in zip(runs.commanded_M, runs.tangents_M, strict=True):
+        for _, place_M, tangent_M in zip(*runs.places, strict=True):
             yield _row("commanded", where, place_M, direction=tangent_M)
         for number, track in enumerate(runs.tracks, start=1):
             for time_s, p_M in zip(track.time_s, track.p_M, strict=True):

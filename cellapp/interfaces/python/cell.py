@@ -23,7 +23,6 @@ from cellapp.cell.run.csv_export import table_of_arrays
 from cellapp.cell.run.csv_import import readings_of_table
 from cellapp.cell.run.csv_text import CsvTable, is_frame, read_csv_table, table_of_frame
 from cellapp.cell.run.stations import require_ties
-from cellapp.cell.targets.ranges import beside
 from cellapp.cell.targets.records import CompensateResult, TargetCommand
 from cellapp.cell.targets.targets import Target, load_targets, targets_in_memory
 from cellapp.commands.calibrate.charts import pair_stop_chart, stop_error_chart
@@ -203,7 +202,7 @@ def stated_conditions(
         raise InputError(f"arm {arm}: {_OTHER} needs a cell of two arms")
     other_q = np.atleast_2d(_values(f"arm {arm}: {_OTHER}", given[_OTHER], None))
     at = configurations(other_q, other.geometry.joints, f"beside {arm}")
-    return beside(conditions, other, np.broadcast_to(at, (len(q), at.shape[1])), None)
+    return other.beside(conditions, np.broadcast_to(at, (len(q), at.shape[1])))
 
 
 def _check_as_readings(where: str, name: str, values: Array) -> None:
@@ -273,14 +272,13 @@ class Fitted(Charted):
         model = of_arm(self.model.arms, arm, "this cell")
         at = configurations(q, model.geometry.joints, arm)
         require_radians(at, arm)
-        others = [other for name, other in self.model.arms.items() if name != arm]
         record = self._conditions[arm].record
         if (row := too_heavy(np.atleast_1d(given.get("payload_kg", 0.0)), model.bodies.masses)) is not None:
             raise InputError(
                 f"arm {arm}: payload_kg: expected at most the arm's own mass, {model.bodies.masses.sum():.3g} kg, got"
                 f" {np.atleast_1d(given['payload_kg'])[row]:g}"
             )
-        return model, at, stated_conditions(at, given, arm, others[0] if len(others) == 1 else None, record)
+        return model, at, stated_conditions(at, given, arm, self.model.other(arm), record)
 
     @cached_property
     def _conditions(self) -> Mapping[str, MeasurementConditions]:

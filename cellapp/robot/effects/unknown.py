@@ -113,10 +113,9 @@ def data_driven_meaning(acts_on: ActedOn, inputs: Sequence[Variable]) -> Meaning
     """Meaning of a term that moves ``acts_on`` with one or two variables."""
     settle = dict.fromkeys(_to_settle(one) for one in inputs)
     depends = enumeration([_variable_in_words(one) for one in inputs])
-    return Meaning(
+    return replace(
+        UNKNOWN_MEANING,
         cause=f"Something moves {{place}} with {depends}, by a law that the library does not have.",
-        size=UNKNOWN_MEANING.size,
-        size_source=UNKNOWN_MEANING.size_source,
         check=(*_CHECKS.get(acts_on.acts_on, ()), *UNKNOWN_MEANING.check[:2]),
         settle=(*settle, UNKNOWN_MEANING.settle[-1]),
     )
@@ -124,10 +123,9 @@ def data_driven_meaning(acts_on: ActedOn, inputs: Sequence[Variable]) -> Meaning
 
 def imitation_meaning(title: str, meaning: Meaning) -> Meaning:
     """Meaning of a term that moves a joint by its angle and looks like an effect, ``title``, that is less probable."""
-    return Meaning(
+    return replace(
+        UNKNOWN_MEANING,
         cause=f"Something moves {{place}} and looks like {title}; a dress pack that pulls at it is more probable.",
-        size=UNKNOWN_MEANING.size,
-        size_source=UNKNOWN_MEANING.size_source,
         check=tuple(dict.fromkeys((*_CHECKS[ActsOn.JOINT], *meaning.check))),
         settle=("Take the hose or cable off {place} and measure 20 stops again.", *meaning.settle),
     )

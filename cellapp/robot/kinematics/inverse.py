@@ -19,35 +19,51 @@ _DAMPING = (1e-2, 1e-3, 1e-14)
 """Damping per squared error, its upper limit, and its lower limit, which keeps the normal matrix regular."""
 
 
-@dataclass(frozen=True)
-class InverseSolution:
-    """Solutions of n poses.
+_REACHED = 1e-10
+"""Largest position error [m] and rotation error [rad] that count as reached."""
+
+
+@dataclass(frozen=True, eq=False)
+class Inverted:
+    """Joint positions for n poses.
 
     Attributes
     ----------
     q : array, shape (n, N)
         Joint positions [rad].
-    reached : array, shape (n,), bool
-        Whether both errors are below the tolerance.
-    position_error : array, shape (n,)
-        Distance of the SMR centre from the wanted position [m].
-    rotation_error : array, shape (n,)
-        Angle between the flange and the wanted rotation [rad], 0 to pi.
+    residual_m, residual_rad : array, shape (n,)
+        Distance of the SMR centre from the wanted position, and angle (0 to pi) between the flange and the wanted
+        rotation there; the angle is NaN if the rotation is free.
+    within : float
+        Largest residual [m, rad] of a pose that counts as reached.
     """
 
     q: Array
-    reached: NDArray[np.bool_]
-    position_error: Array
-    rotation_error: Array
+    residual_m: Array
+    residual_rad: Array
+    within: float = _REACHED
 
+    @property
+    def reached(self) -> NDArray[np.bool_]:
+        """Mask (n,) of poses that are reached."""
+        return (self.residual_m < self.within) & ~(self.residual_rad >= self.within)
 
-_REACHED = 1e-10
-"""Largest position error [m] and rotation error [rad] that count as reached."""
+    def take(self, rows: NDArray[np.intp]) -> Inverted:
+        """Return the solutions of some rows."""
+        return Inverted(self.q[rows], self.residual_m[rows], self.residual_rad[rows], self.within)
+
+    def put(self, rows: NDArray[np.intp], of: Inverted, kept: NDArray[np.bool_]) -> None:
+        """Replace the solutions of ``rows`` by the ``kept`` ones of ``of``."""
+        self.q[rows], self.residual_m[rows], self.residual_rad[rows] = (
+            of.q[kept],
+            of.residual_m[kept],
+            of.residual_rad[kept],
+        )
 
 
 def solve_pose(
     geometry: Geometry, position_M: Array, rotation_M: Array, start: Array, *, max_iterations: int = 60
-) -> InverseSolution:
+) -> Inverted:
     """Find joint positions that put the SMR at ``position_M`` and orient the flange as ``rotation_M``.
 
     If a pose cannot be reached (fewer than six joints, a singularity, out of range), the iterate with the smallest
@@ -80,9 +96,7 @@ def solve_pose(
             break
         active, q = active[unsolved], q[unsolved] + damped_step(J[unsolved], errors[unsolved])
     errors, _ = errors_and_jacobian(geometry, position_M, rotation_M, best)
-    position_error, rotation_error = (np.linalg.norm(part, axis=1) for part in (errors[:, :3], errors[:, 3:]))
-    reached = (position_error < _REACHED) & (rotation_error < _REACHED)
-    return InverseSolution(best, reached, position_error, rotation_error)
+    return Inverted(best, *(np.linalg.norm(part, axis=1) for part in (errors[:, :3], errors[:, 3:])))
 
 
 def errors_and_jacobian(geometry: Geometry, position_M: Array, rotation_M: Array, q: Array) -> tuple[Array, Array]:

@@ -45,7 +45,7 @@ from cellapp.robot.kinematics.chain import (
     probe_rotations,
     smr_positions,
 )
-from cellapp.robot.kinematics.statics import Bodies
+from cellapp.robot.kinematics.statics import Bodies, base_moment
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model.arguments import configurations, of_arm, require_radians
 from cellapp.robot.model.nominal import bodies_of, up_in_tracker
@@ -242,6 +242,13 @@ class ArmModel:
             f" {effects:.100})"
         )
 
+    def beside(
+        self, conditions: MeasurementConditions, q: Array, payload_kg: Array | None = None
+    ) -> MeasurementConditions:
+        """Return n conditions of another arm with this one beside it at ``q`` (n, N) [rad], with payloads (n,) [kg]."""
+        moment = base_moment(self.geometry, self.bodies, q, self.up_M, payload_kg)
+        return replace(conditions, other_q=q, other_moment_M=moment)
+
     def context(self, q: Array, conditions: MeasurementConditions | None = None) -> EffectContext:
         """Return the variables that effects depend on, at configurations ``q`` (n, N) [rad]."""
         return EffectContext(
@@ -424,6 +431,11 @@ class CellModel:
     def __repr__(self) -> str:
         arms = ", ".join(f"{name}: {arm.geometry.joints} joints" for name, arm in self.arms.items())
         return f"CellModel({arms:.150})"
+
+    def other(self, arm: str) -> ArmModel | None:
+        """Return the other arm of a cell of two; None in other cells."""
+        others = [other for name, other in self.arms.items() if name != arm]
+        return others[0] if len(others) == 1 else None
 
     def predict(
         self,

@@ -110,11 +110,6 @@ class JointPath:
     deviation_at_m: float
 
     @property
-    def start(self) -> Array:
-        """Controller readings at the beginning (N,) [rad]."""
-        return np.asarray(self.stretches[0].q[0])
-
-    @property
     def reversals(self) -> tuple[Reversal, ...]:
         """All reversals of joints."""
         return tuple(reversal for stretch in self.stretches for reversal in stretch.reversals)

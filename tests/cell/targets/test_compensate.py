@@ -14,7 +14,7 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import refuse_stop, visible
 from cellapp.cell.targets.compensate import compensate
-from cellapp.cell.targets.invert import invert_model
+from cellapp.cell.targets.invert import invert
 from cellapp.cell.targets.prediction import Command, command_record
 from cellapp.cell.targets.targets import Partner, Target, load_targets
 from cellapp.ground.errors import InputError
@@ -67,12 +67,12 @@ def test_what_the_network_adds_is_aimed_off_for(model: CellModel, commands: tupl
     q = np.array([c.q_nominal for c in commands if c.target.arm == "left" and c.q_nominal is not None])
     q = q[np.abs(np.sin(q[:, 4])) > 0.2]
     rotation, _ = arm.flange(q)
-    back, reached = invert_model(arm, arm.predict(q), rotation, q + 1e-3)
+    back = invert(arm, arm.predict(q), rotation, q + 1e-3)
     bare = arm.predict(q) - with_effects(model, "left", COMPLIANCE).predict(q)
     assert np.linalg.norm(bare, axis=1).min() > 1e-5
     assert len(q) >= 5
-    assert reached.all()
-    np.testing.assert_allclose(arm.predict(back), arm.predict(q), atol=1e-9)
+    assert back.reached.all()
+    np.testing.assert_allclose(arm.predict(back.q), arm.predict(q), atol=1e-9)
 
 
 def one(arm: str, position: tuple[float, float, float], rpy: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Target:

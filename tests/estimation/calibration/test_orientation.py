@@ -13,7 +13,7 @@ from cellapp.cell.driving.target_visit import push
 from cellapp.cell.planning.plan import plan_stops
 from cellapp.cell.profile import load_profile
 from cellapp.cell.targets.compensate import compensate
-from cellapp.cell.targets.invert import invert_model
+from cellapp.cell.targets.invert import invert
 from cellapp.cell.targets.targets import targets_in_memory
 from cellapp.commands.calibrate.result import calibrate_result
 from cellapp.commands.calibrate.view import cooperative_noise_mrad
@@ -221,9 +221,9 @@ def test_the_network_corrects_position_and_rotation(six):
     assert network.position_mm.mean < 0.9 * geometry.position_mm.mean
     assert network.orientation_mrad.mean < 0.4 * geometry.orientation_mrad.mean
     q, stored = readings.q[:5], CellModel.from_json(CellModel({"left": arm.model}).to_json()).arms["left"]
-    found, reached = invert_model(stored, arm.model.predict(q), arm.model.flange(q)[0], q + 0.01)
-    assert reached.all()
-    np.testing.assert_allclose(found, q, atol=1e-6)
+    found = invert(stored, arm.model.predict(q), arm.model.flange(q)[0], q + 0.01)
+    assert found.reached.all()
+    np.testing.assert_allclose(found.q, q, atol=1e-6)
 
 
 def slipped(readings, angle):

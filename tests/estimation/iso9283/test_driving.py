@@ -102,7 +102,7 @@ def driven(task: IsoTask, **more: Any) -> tuple[IsoFindings, Plant]:
 
 
 def results(task: IsoTask, findings: IsoFindings) -> dict[str, ArmIso9283]:
-    return arm_results(task.profile, findings, task.arms, np.random.default_rng(1))
+    return arm_results(task, findings, np.random.default_rng(1))
 
 
 @pytest.mark.parametrize("aligned", [False, True], ids=["base given", "base found"])

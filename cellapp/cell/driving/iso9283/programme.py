@@ -26,22 +26,9 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from cellapp.cell.safety.gate import (
-    CellBodies,
-    clear_stops,
-    refuse_motion,
-    visible,
-    visible_stops,
-    with_margin_for_ways,
-)
-from cellapp.cell.targets.invert import (
-    LARGEST_CORRECTION,
-    admissible_configurations,
-    clear_with_others,
-    invert,
-    with_approach,
-)
-from cellapp.cell.targets.ranges import beside
+from cellapp.cell.safety.cell_bodies import clear_with_others, visible_with_others
+from cellapp.cell.safety.gate import CellBodies, refuse_motion, visible_stops, with_margin_for_ways
+from cellapp.cell.targets.invert import LARGEST_CORRECTION, admissible_configurations, invert, with_approach
 from cellapp.estimation.calibration.identification import identify, start_from_nominal
 from cellapp.estimation.calibration.parameters import ParameterSet
 from cellapp.estimation.calibration.quantities import with_probe
@@ -53,7 +40,6 @@ from cellapp.estimation.iso9283.characteristics import (
     PLANES,
     POSES,
     lattice_cube,
-    plane_name,
     pose_positions,
 )
 from cellapp.estimation.iso9283.evaluate import ArmProgramme, IsoPlace
@@ -278,8 +264,7 @@ class CubeSearch:
             rows = rows[clear_with_others(with_margin_for_ways(self.cell), self.homes, {self.name: q[rows]})]
         words[rows] = VIEW
         if len(rows):
-            others = {other: np.tile(at, (len(rows), 1)) for other, at in self.homes.items() if other != self.name}
-            words[rows[visible(self.cell, self.name, q[rows], others)]] = ""
+            words[rows[visible_with_others(self.cell, self.homes, self.name, {self.name: q[rows]})]] = ""
         return [str(word) for word in words]
 
     @property
@@ -453,20 +438,17 @@ class ChosenCube:
 
     def record(self) -> IsoCube:
         """Return the cube as a result record."""
-        poses = [name for name in self.q if " " not in name]
-        rpy = None
-        if np.isfinite(self.rotation_B).all():
-            rpy = rpy_of(self.rotation_B)
-        return IsoCube(
+        rpy = rpy_of(self.rotation_B) if np.isfinite(self.rotation_B).all() else None
+        return IsoCube.like(
+            self,
             edge_mm=self.edge * 1e3,
             centre_B=xyz_of(self.centre_B),
-            plane=self.plane,
             rpy=rpy,
             poses=tuple(
                 IsoPose(name=name, position_B=xyz_of(self.position_B[name]), q=tuple(self.q[name].tolist()))
-                for name in poses
+                for name in self.q
+                if " " not in name
             ),
-            limited_by=self.limited_by,
         )
 
 
@@ -511,7 +493,7 @@ def _in_plane(search: CubeSearch, cube: FoundCube, plane: tuple[str, str, str, s
         if refusal := refuse_motion(search.cell, start, end):
             return refusal
     rotation_B = search.nominal.geometry.T_M_B()[:3, :3].T @ cube.region.rotation_M
-    return ChosenCube(cube.edge, cube.centre_B, plane_name(plane), rotation_B, positions, at, cube.limited_by)
+    return ChosenCube(cube.edge, cube.centre_B, "-".join(plane), rotation_B, positions, at, cube.limited_by)
 
 
 def _approaches(positions: dict[str, Array], edge: float) -> dict[str, Array]:
@@ -672,12 +654,8 @@ def pose_pairs(
     """
     first, second = q
     both = [(a, b) for a in CYCLE for b in CYCLE]
-    n = len(both)
-    stops = {name: np.tile(home, (n, 1)) for name, home in homes.items()}
-    stops[first] = np.array([q[first][a] for a, _ in both])
-    stops[second] = np.array([q[second][b] for _, b in both])
-    seen = {name: stops[name] for name in (first, second)}
-    holds = (clear_stops(cell, stops) & visible_stops(cell, seen)).reshape(len(CYCLE), len(CYCLE))
+    stops = {name: np.array([q[name][pair[place]] for pair in both]) for place, name in enumerate((first, second))}
+    holds = (clear_with_others(cell, homes, stops) & visible_stops(cell, stops)).reshape(len(CYCLE), len(CYCLE))
     other = 1.0 - np.eye(len(CYCLE))
     rows, columns = scipy.optimize.linear_sum_assignment(np.where(holds, other, 10.0 * len(POSES)))
     return [(CYCLE[i], CYCLE[k]) for i, k in zip(rows, columns, strict=True) if holds[i, k]]
@@ -702,4 +680,4 @@ def _conditions(
     others = [other for other in model.arms if other != name]
     if len(others) != 1:
         return stated
-    return beside(stated, model.arms[others[0]], np.tile(homes[others[0]], (n, 1)), None)
+    return model.arms[others[0]].beside(stated, np.tile(homes[others[0]], (n, 1)))

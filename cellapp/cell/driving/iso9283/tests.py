@@ -94,7 +94,6 @@ class IsoFindings:
     wanted: dict[IsoPlace, int] = field(default_factory=dict)
     missed: dict[IsoPlace, str] = field(default_factory=dict)
     paths: list[PathRuns] = field(default_factory=list)
-    also_speeds: tuple[float, ...] = ()
     notes: list[str] = field(default_factory=list)
     seconds: float = 0.0
 
@@ -105,16 +104,14 @@ class IsoFindings:
             reasons[test] = f"{reasons[test]}; {reason}" if test in reasons else reason
 
 
-def arm_results(
-    profile: Profile, found: IsoFindings, arms: Sequence[str], rng: np.random.Generator
-) -> dict[str, ArmIso9283]:
+def arm_results(task: IsoTask, found: IsoFindings, rng: np.random.Generator) -> dict[str, ArmIso9283]:
     """Return cube, base and characteristics of each arm that was to be tested."""
     results = {}
-    for name in arms:
+    for name in task.arms:
         kinds = [kind for arm, kind in found.programmes if arm == name]
-        tests = {kind: _commanded(found, name, kind, rng) for kind in kinds}
+        tests = {kind: _commanded(task, found, name, kind, rng) for kind in kinds}
         results[name] = ArmIso9283(
-            payload_kg=profile.arms[name].payload.mass,
+            payload_kg=task.profile.arms[name].payload.mass,
             cube=found.cubes[name].record() if name in found.cubes else None,
             base=_base(found, name),
             tests={kind: one for kind, one in tests.items() if one != CommandedTests()},
@@ -169,7 +166,9 @@ def _runs_of_paths(found: IsoFindings) -> Iterator[tuple[str, PathRuns]]:
         yield f"path of {runs.arm}, {runs.commands} commands, {runs.name}{at}", runs
 
 
-def _commanded(found: IsoFindings, name: str, kind: IsoCommands, rng: np.random.Generator) -> CommandedTests:
+def _commanded(
+    task: IsoTask, found: IsoFindings, name: str, kind: IsoCommands, rng: np.random.Generator
+) -> CommandedTests:
     arm, measured, base_M = found.programmes[name, kind], found.measured, _base_rotation(found, name, kind)
     series = [
         SpeedSeries(
@@ -177,7 +176,7 @@ def _commanded(found: IsoFindings, name: str, kind: IsoCommands, rng: np.random.
             pose=pose_characteristics(arm, measured, base_M, rng, share),
             path=_paths(found, name, kind, rng, share),
         )
-        for share in found.also_speeds
+        for share in task.also_speeds
     ]
     return CommandedTests(
         pose=pose_characteristics(arm, measured, base_M, rng),
@@ -230,10 +229,6 @@ PATH_SPEED = 0.25
 not state: collaborative arms may move so fast beside people, and most joints can follow."""
 _TOLERANCE_M = 1e-3
 """Allowed distance of the model's joint path from the commanded path [m]; the plan itself stays below some 10 um."""
-_PLACES = 50
-"""Number of positions along each path where it is evaluated; the standard requires at least ten."""
-_ENDS = 0.02
-"""Fraction of the path left out at each end: the arm is at rest there, and no plane is crossed."""
 
 
 def _run_up(q: Array) -> Array:
@@ -273,14 +268,6 @@ def path_specs(name: str, cube: ChosenCube, speed_share: float) -> list[PathSpec
         PathSpec(name=words, arm=name, tolerance=_TOLERANCE_M, speed=PATH_SPEED * speed_share, poses=poses)
         for words, poses in shapes.items()
     ]
-
-
-def places_along(path: CartesianPath) -> tuple[Array, Array, Array]:
-    """Return arc lengths (m,) [m], positions (m, 3) [m] and unit tangents (m, 3) where a path is evaluated."""
-    s = path.length * np.linspace(_ENDS, 1.0 - _ENDS, _PLACES)
-    half = 1e-4 * path.length
-    chord = path.positions(s + half) - path.positions(s - half)
-    return s, path.positions(s), chord / np.linalg.norm(chord, axis=1, keepdims=True)
 
 
 def _round(points: Array, rpy: tuple[float, float, float]) -> tuple[PathPose, ...]:
@@ -439,7 +426,6 @@ class _Session:
         tests = self.task.tests
         programmes = self.findings.programmes.values()
         self._rehearse([one for own in programmes for one in (*pose_visits(own, 1), *directional_visits(own, 1))])
-        self.findings.also_speeds = self.task.also_speeds
         series = {0.0: self._visits()} | {share: self._poses_at(share) for share in self.task.also_speeds}
         every = [visit for visits in series.values() for visit in visits]
         self.findings.wanted |= {visit.place: self.task.cycles for visit in every if visit.place is not None}
@@ -513,7 +499,6 @@ class _Session:
         self, spec: PathSpec, kind: IsoCommands, trajectory: Trajectory, path: CartesianPath, series: float
     ) -> None:
         """Drive one path over all cycles."""
-        s, commanded, tangents = places_along(path)
         start_M = path.positions(np.zeros(1))
         programme = self.findings.programmes.get((spec.arm, kind))
         runs = PathRuns(
@@ -521,11 +506,7 @@ class _Session:
             commands=kind,
             name=spec.name,
             speed=spec.speed,
-            length=path.length,
-            commanded_M=commanded,
-            tangents_M=tangents,
-            s=s,
-            tracks=[],
+            path=path,
             tracker=self.task.profile.tolerances.covariance_factor
             * tracker_covariance(self.task.profile.tracker, start_M)[0],
             frame=np.zeros((3, 3)) if programme is None else programme.frame["P1"],
