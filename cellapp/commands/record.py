@@ -266,9 +266,7 @@ class Verb:
     @property
     def opens_run(self) -> bool:
         """Whether it works on an existing run, which its field ``folder`` names."""
-        return any(
-            name == "folder" and words.argument and words.metavar == "DIR" for name, words in self.request.asked()
-        )
+        return ("folder", _RUN) in self.request.asked()
 
     def is_needed(self, field: str) -> bool:
         """Return whether a field of its request must be given."""
@@ -313,7 +311,8 @@ class Verb:
 
 # -- fields that the requests of several verbs have --------------------------------------------------------------------
 
-RunFolder = Annotated[Path, Asked("The run's folder.", "DIR", argument=True)]
+_RUN = Asked("The run's folder.", "DIR", argument=True)
+RunFolder = Annotated[Path, _RUN]
 ProfilePath = Annotated[Path, Asked("The cell, as YAML.", "PROFILE", argument=True)]
 TargetsPath = Annotated[Path | tuple[Any, ...], Asked("Target list: .yaml or .csv.", "TARGETS", argument=True)]
 """A list's file; a program that has targets may give them as they are."""

@@ -18,14 +18,22 @@ from typing import TYPE_CHECKING, Annotated, Any, Union, get_args, get_origin
 
 import annotated_types
 import typer
-from pydantic.fields import FieldInfo
 from typer.core import TyperGroup
 
-from cellapp.commands.record import Asked, Verb, View, Work
+from cellapp.commands.record import Asked, Request, Verb, View, Work
 from cellapp.commands.registry import MOVES
 from cellapp.ground.errors import InputError
 from cellapp.ground.removed import removed_command
-from cellapp.interfaces.cli.command_outputs import AllowMotion, Commands, JsonOption
+from cellapp.interfaces.cli.command_outputs import (
+    ADDED_TO,
+    JSON,
+    NAMED,
+    AllowMotion,
+    Commands,
+    JsonOption,
+    calling,
+    forcing,
+)
 from cellapp.interfaces.cli.job import CommandJob, require_none
 from cellapp.interfaces.page import draw_certificate, write_page
 
@@ -114,9 +122,16 @@ def command_of(verb: Verb, fixed: Mapping[str, Any] = MappingProxyType({})) -> C
     ``fixed`` are values of fields without an option.
     """
 
-    def command(*, json_file: str | None = None, allow_motion: bool = False, **values: Any) -> None:
+    asked = {name: words for name, words in verb.request.asked() if name not in fixed}
+    option = verb.request.option_of
+    written = {name: (option(name), words.writes) for name, words in asked.items() if words.writes} | JSON
+    named = [words.metavar for name, words in asked.items() if NAMED.get(words.metavar) == name]
+
+    def command(
+        *, json_file: str | None = None, allow_motion: bool = False, force: bool = False, **values: Any
+    ) -> None:
         given = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
-        with CommandJob(json_file) as job:
+        with calling({**values, "json_file": json_file}, written, named, force=force), CommandJob(json_file) as job:
             request = verb.asked({**fixed, **{name: value for name, value in given.items() if value is not None}})
             announced: list[Result] = []
 
@@ -132,14 +147,12 @@ def command_of(verb: Verb, fixed: Mapping[str, Any] = MappingProxyType({})) -> C
                 raise InputError(shown.refused)
             require_none(shown.failed, shown.checks or verb.checks or verb.name)
 
-    own = [
-        _parameter(name, field, words, verb.request.option_of(words.of) if words.of else "")
-        for (name, words), field in zip(verb.request.asked(), verb.request.model_fields.values(), strict=True)
-        if name not in fixed
-    ]
+    own = [_parameter(verb.request, name, words) for name, words in asked.items()]
     if verb.moves_arms:
         own.append(_keyword("allow_motion", AllowMotion, False))
     own.append(_keyword("json_file", JsonOption, None))
+    replaced = [option for option, how in written.values() if how not in ADDED_TO]
+    own.append(_keyword("force", Annotated[bool, forcing(*replaced)], False))
     command.__signature__ = inspect.Signature(own)  # type: ignore[attr-defined]
     command.__doc__ = _help(verb)
     return command
@@ -176,21 +189,20 @@ def _choose(job: CommandJob, question: str, answers: tuple[str, ...]) -> str:
     return said if said in answers else ""
 
 
-def _parameter(name: str, field: FieldInfo, words: Asked, owner: str) -> inspect.Parameter:
-    """Return the command's parameter for a field of a request, which belongs to the option ``owner``, if any."""
+def _parameter(request: type[Request], name: str, words: Asked) -> inspect.Parameter:
+    """Return the command's parameter for a field of a request."""
+    field = request.model_fields[name]
     bounds = {
         key: getattr(one, "ge" if key == "min" else "le")
         for one in field.metadata
         for key, kind in (("min", annotated_types.Ge), ("max", annotated_types.Le))
         if isinstance(one, kind)
     }
-    said = f"With {owner}: {words.help}" if owner else words.help
+    said = f"With {request.option_of(words.of)}: {words.help}" if words.of else words.help
     settings: dict[str, Any] = {"help": said, **bounds, **({"metavar": words.metavar} if words.metavar else {})}
-    option = words.option or f"--{name.replace('_', '-')}"
-    shape = typer.Argument(**settings) if words.argument else typer.Option(option, **settings)
+    shape = typer.Argument(**settings) if words.argument else typer.Option(request.option_of(name), **settings)
     annotated: Any = Annotated
-    kind = words.typed or _typed(field.annotation)
-    annotation = annotated[(kind, shape, *([words.writes] if words.writes else []))]
+    annotation = annotated[words.typed or _typed(field.annotation), shape]
     return _keyword(name, annotation, inspect.Parameter.empty if field.is_required() else field.default)
 
 
