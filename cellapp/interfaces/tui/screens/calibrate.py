@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import ClassVar
 
 from textual.binding import BindingType
@@ -36,7 +37,7 @@ class CalibrateScreen(TabsScreen):
         bind("export", "export", "Export", "write the calibrated arms for other programs"),
     ]
 
-    TABS: ClassVar[tuple[str, ...]] = ("Stages", "Errors", "Parameters")
+    TABS: ClassVar[Mapping[str, str]] = dict.fromkeys(("Stages", "Errors", "Parameters"), "")
 
     # -- keys ----------------------------------------------------------------------------------------------------------
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import ClassVar
 
 from textual.binding import BindingType
@@ -36,8 +37,9 @@ class DiscoverScreen(TabsScreen):
         bind("tab", "next_tab", "Next tab"),
     ]
 
-    TABS: ClassVar[tuple[str, ...]] = ("Found", "Proposed stops")
-    EMPTY: ClassVar[str] = f"Nothing was searched yet: {SHOWN['go']} searches for missing effects."
+    TABS: ClassVar[Mapping[str, str]] = dict.fromkeys(
+        ("Found", "Proposed stops"), f"Nothing was searched yet: {SHOWN['go']} searches for missing effects."
+    )
 
     # -- keys ----------------------------------------------------------------------------------------------------------
 
