@@ -10,7 +10,7 @@ from cellapp.cell.profile import load_profile
 from cellapp.commands.doctor.request import DoctorRequest
 from cellapp.commands.doctor.result import DoctorResult
 from cellapp.commands.record import View
-from cellapp.commands.view.table import Cell, Table, columns_of
+from cellapp.commands.view.table import Cell, Table, table_of_cells
 from cellapp.ground.counting import counted
 from cellapp.ground.profile import Arm, Pose, Profile
 from cellapp.ground.profile.sections import (
@@ -23,15 +23,15 @@ from cellapp.ground.profile.sections import (
 )
 from cellapp.robot.kinematics.chain import ROW_NAMES
 
-_COLUMNS = columns_of("what", "in the profile")
+_COLUMNS = "what", "in the profile"
 _NO_DEVICE = "no device: readings come from a file"
 
 
 def profile_tables(profile: Profile) -> list[Table]:
     """Show the cell and the constraints of its plan, one quantity per row."""
     return [
-        Table(f"Cell {profile.name}", _COLUMNS, tuple(cell_words(profile))),
-        Table("Plan", _COLUMNS, tuple(constraint_words(profile))),
+        table_of_cells(f"Cell {profile.name}", cell_words(profile), *_COLUMNS),
+        table_of_cells("Plan", constraint_words(profile), *_COLUMNS),
     ]
 
 
@@ -169,9 +169,7 @@ def view(result: DoctorResult, request: DoctorRequest | None = None) -> View:
 
 def _controller_table(name: str, its: ControllerCalibration) -> Table:
     """Show what the factory calibration changes at each joint of an arm."""
-    columns = columns_of("joint", *((f"{key} [{unit}]", "+.3f") for key, unit in zip(ROW_NAMES, _UNITS, strict=True)))
-    rows: list[tuple[Cell, ...]] = [
-        (str(i), *(1e3 * value for value in row)) for i, row in enumerate(its.near, start=1)
-    ]
+    values = ((f"{key} [{unit}]", "+.3f") for key, unit in zip(ROW_NAMES, _UNITS, strict=True))
+    rows: list[tuple[Cell, ...]] = [(str(i), *(1e3 * x for x in row)) for i, row in enumerate(its.near, start=1)]
     title = f"Arm {name}: the controller's own calibration ({its.checksum}), less the published rows"
-    return Table(title, columns, tuple(rows))
+    return table_of_cells(title, rows, "joint", *values)

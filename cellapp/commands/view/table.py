@@ -63,11 +63,6 @@ def number_column(title: str, number_format: str, unit: str = "") -> Column:
     return Column(title, "number", number_format, unit)
 
 
-def columns_of(*headings: str | tuple[str, ...]) -> tuple[Column, ...]:
-    """Build columns: of text by their title, of numbers or intervals by title, format and, if any, unit."""
-    return tuple(Column(one) if isinstance(one, str) else number_column(*one) for one in headings)
-
-
 @dataclass(frozen=True)
 class Table:
     """A titled table; the cells of the first column name the rows.
@@ -126,6 +121,12 @@ def table_of(title: str, rows: Iterable[Any], *fields: Field) -> Table:
         tuple(_shown(source(row), column.unit) for column, source in zip(columns, sources, strict=True)) for row in rows
     )
     return Table(title, columns, cells)
+
+
+def table_of_cells(title: str, rows: Iterable[Sequence[Cell]], *headings: str | tuple[str, ...]) -> Table:
+    """Build a table of rows of cells; columns of text by their title, of numbers by title, format and, if any, unit."""
+    columns = tuple(Column(one) if isinstance(one, str) else number_column(*one) for one in headings)
+    return Table(title, columns, tuple(map(tuple, rows)))
 
 
 def with_rows(*tables: Table) -> list[Table]:

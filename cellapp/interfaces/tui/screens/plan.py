@@ -17,7 +17,7 @@ from cellapp.commands.export.request import VERB as EXPORT
 from cellapp.commands.plan.request import VERB as PLAN
 from cellapp.commands.show.request import VERB as SHOW
 from cellapp.commands.show.result import Shown
-from cellapp.commands.view.table import Cell, Table, columns_of
+from cellapp.commands.view.table import Cell, Table, table_of_cells
 from cellapp.ground.counting import counted
 from cellapp.interfaces.tui import verb_jobs as verbs
 from cellapp.interfaces.tui.keys import bind
@@ -204,7 +204,7 @@ def _stops_table(stops: Sequence[PlannedStop], ways: PlannedStops | None) -> Tab
     """Return the stops, counted from 1: how each is reached and what it is for, and its joint positions."""
     from cellapp.commands.plan.check_view import stop_words
 
-    rows: list[tuple[Cell, ...]] = []
+    rows = list[tuple[Cell, ...]]()
     for stop in stops:
         assert ways is not None  # a run with stops has them
         at = stop.configuration
@@ -212,7 +212,7 @@ def _stops_table(stops: Sequence[PlannedStop], ways: PlannedStops | None) -> Tab
         frozen, state = "frozen" if ways.frozen[at] else "", "measured" if stop.measured else "planned"
         rows.append((at + 1, state, frozen, str(ways.block[at] + 1), stop_words(ways, at), *joints))
     angles = [f"{name} [deg]" for name in stops[0].q] if stops else []
-    return Table("Stops", columns_of(("stop", "d"), "state", "frozen", "part", "how", *angles), tuple(rows))
+    return table_of_cells("Stops", rows, ("stop", "d"), "state", "frozen", "part", "how", *angles)
 
 
 def _stops_of(workspace: Workspace) -> Sequence[PlannedStop]:
