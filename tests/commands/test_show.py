@@ -32,7 +32,6 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.results import ErrorSummary
 from cellapp.interfaces.cli.command_outputs import Commands
 from cellapp.interfaces.cli.verb_commands import add_verb, group_of
-from cellapp.interfaces.page.figures import part_figures
 from cellapp.interfaces.page.page import template
 from cellapp.interfaces.python.printed import html_view
 from cellapp.interfaces.render.terminal import plain_text
@@ -106,10 +105,10 @@ def test_plain_text_says_everything_but_charts_and_details_in_its_order() -> Non
 
 
 def test_the_page_draws_parts_by_their_kind_and_leaves_empty_charts_out() -> None:
-    assert part_figures(PARTS, "key") == []
     html = str(template("sections/layout.html").module.draw_parts(PARTS, "key"))  # type: ignore[attr-defined]
     assert html.index("<p>first</p>") < html.index("<p>last</p>") < html.index("<caption>a table</caption>")
     assert "<dt>title</dt>" in html
+    assert "<figure" not in html
     assert "&lt;b&gt;" in html
     assert "<code>cellapp docs x</code> says more" in html
     assert '<details class="more">' in html

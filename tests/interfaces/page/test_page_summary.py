@@ -24,7 +24,7 @@ from cellapp.commands.certificate_result import (
 from cellapp.commands.next_step import Step
 from cellapp.commands.report.data import ReportData
 from cellapp.commands.report.sections import SECTIONS, placed
-from cellapp.commands.report.summary import judged_matrix, summary, verdict
+from cellapp.commands.report.summary import findings, judged_matrix, steps, verdict
 from cellapp.commands.run_results import RunResults
 from cellapp.commands.view.parts import Section
 from cellapp.commands.view.table import Column, Interval, Number, Table, number_column
@@ -114,8 +114,8 @@ def test_no_judgement_is_lost_in_the_matrix(which: list[tuple[Characteristic, st
 def test_a_tracker_whose_calibration_is_due_is_named(day: date, due: bool) -> None:
     tracker = Instrument(model="AT960", calibrated=date(2026, 3, 2), due=date(2027, 3, 2))
     profile = TWIN.model_copy(update={"traceability": Traceability(tracker=tracker)})
-    steps = [step.text for step in summary(data_of(profile), (), day).steps]
-    assert any("2027-03-02" in step for step in steps) == due
+    said = [step.text for step in steps(data_of(profile), (), day)]
+    assert any("2027-03-02" in step for step in said) == due
 
 
 def summaries() -> Iterator[object]:
@@ -138,11 +138,10 @@ def summaries() -> Iterator[object]:
         "not measured": (data_of(), missing),
     }
     for name, (data, judgements) in cases.items():
-        found = summary(data, judgements, TODAY)
         yield f"--- {name}"
         yield verdict(data, judgements)
         yield judged_sentence(judgements) if judgements else ""
-        yield from (*found.found, *found.steps, judged_matrix(judgements, ["left", "right"]))
+        yield from (*findings(data), *steps(data, judgements, TODAY), judged_matrix(judgements, ["left", "right"]))
 
 
 def test_the_summary_says_what_was_approved() -> None:
