@@ -153,6 +153,10 @@ def _no_certificate_page(result: Result) -> str:
     raise InputError("this interface draws no page of a certificate")
 
 
+Ask = Callable[[str], bool]
+"""Shows a person the first motion in words; returns whether the person allows it."""
+
+
 @dataclass(frozen=True)
 class Work:
     """What an interface gives to the job that it starts.
@@ -177,7 +181,7 @@ class Work:
     """
 
     control: JobControl = field(default_factory=JobControl)
-    ask: Callable[[str], Callable[[str], bool] | None] = field(default=lambda profile_name: None)
+    ask: Callable[[str], Ask | None] = field(default=lambda profile_name: None)
     outputs: Outputs = NEW_ONLY
     certificate_page: Callable[[Any], str] = field(default=_no_certificate_page)
     announce: Callable[[Result], None] = field(default=lambda result: None)

@@ -8,7 +8,7 @@ from operator import itemgetter
 from typing import Any
 
 from cellapp.commands.calibrate.request import CalibrateRequest
-from cellapp.commands.record import Request, View
+from cellapp.commands.record import View
 from cellapp.commands.view.table import Cell, Field, Interval, Table, table_of, table_of_cells, with_rows
 from cellapp.commands.view.words import METHOD_WORDS, STAGE_WORDS, display_unit
 from cellapp.estimation.calibration.records import (
@@ -56,11 +56,10 @@ _ROTATION = "orientation [mrad]"
 _PAIR_TITLE = "Pair: held-out cooperative errors [mm]"
 
 
-def view(result: CalibrateResult, request: Request | None = None) -> View:
+def view(result: CalibrateResult, request: CalibrateRequest | None = None) -> View:
     """Show held-out errors, parameters on request, beside them the tracker's own uncertainty, and what comes next."""
-    asked = request if isinstance(request, CalibrateRequest) else None
-    shown = parameters_view(result).parts if asked and asked.parameters else ()
-    onward = [f"next: cellapp discover {shell_word(asked.folder)}"] if asked else []
+    shown = parameters_view(result).parts if request and request.parameters else ()
+    onward = [f"next: cellapp discover {shell_word(request.folder)}"] if request else []
     return View((*calibration_tables(result), *shown, *tracker_sentences(result), *result.notes, *onward))
 
 

@@ -183,12 +183,11 @@ def detectability_section(run: RunFile) -> Section | None:
     result = stored_detectability(run)
     if result is None:
         return None
-    sentence, *parts = detectability_parts(result)
     about = (
         "Effects were hidden in simulated arms of this cell at the planned stops, at sizes that the trials before"
         " suggested, and searched as 'discover' does. Their laws are not those of the library."
     )
-    return Section(parts, message=str(sentence), about=about)
+    return section_of(detectability_parts(result), about=about)
 
 
 # -- accuracy ---------------------------------------------------------------------------------------------------------

@@ -9,13 +9,13 @@ import shutil
 import signal
 import sys
 import threading
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cellapp.commands.view.parts import Parts, printed
 from cellapp.ground.control import Aborted, JobControl
-from cellapp.ground.errors import CheckFailed, InputError
+from cellapp.ground.errors import InputError
 from cellapp.ground.progress import Notice, Progress, StateChange, Suspicion, eta_words, in_lines
 from cellapp.ground.signals import HANGUP, INTERRUPTS, available, ended_by, watch_signals
 from cellapp.interfaces.cli.command_outputs import current_outputs
@@ -218,9 +218,3 @@ class CommandJob:
             with contextlib.suppress(OSError):  # the terminal was closed
                 self._bars.stop()
             self._bars, self._tasks = None, {}
-
-
-def require_none(complaints: Sequence[str], what: str) -> None:
-    """Raise ``CheckFailed`` if a check of ``what`` has complaints."""
-    if complaints:
-        raise CheckFailed(f"{what}: {'; '.join(complaints)}")

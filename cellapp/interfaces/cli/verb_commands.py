@@ -20,9 +20,9 @@ import annotated_types
 import typer
 from typer.core import TyperGroup
 
-from cellapp.commands.record import Asked, Request, Verb, View, Work
+from cellapp.commands.record import Ask, Asked, Request, Verb, View, Work
 from cellapp.commands.registry import MOVES
-from cellapp.ground.errors import InputError
+from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.ground.removed import removed_command
 from cellapp.interfaces.cli.command_outputs import (
     ADDED_TO,
@@ -34,7 +34,7 @@ from cellapp.interfaces.cli.command_outputs import (
     calling,
     forcing,
 )
-from cellapp.interfaces.cli.job import CommandJob, require_none
+from cellapp.interfaces.cli.job import CommandJob
 from cellapp.interfaces.page import draw_certificate, write_page
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ _SHOWN: Mapping[str, tuple[str, ...]] = {
 """Verb -> the parts of a run that ``show`` shows of it, beside those that it stores."""
 
 
-def asking(job: CommandJob, profile_name: str, *, allowed: bool) -> Callable[[str], bool] | None:
+def asking(job: CommandJob, profile_name: str, *, allowed: bool) -> Ask | None:
     """Return a function that shows the first motion and returns whether it is allowed; None if nobody can be asked."""
     if allowed:
 
@@ -145,7 +145,8 @@ def command_of(verb: Verb, fixed: Mapping[str, Any] = MappingProxyType({})) -> C
                 _show(job, verb, shown, result)
             if shown.refused:
                 raise InputError(shown.refused)
-            require_none(shown.failed, shown.checks or verb.checks or verb.name)
+            if shown.failed:
+                raise CheckFailed(f"{shown.checks or verb.checks or verb.name}: {'; '.join(shown.failed)}")
 
     own = [_parameter(verb.request, name, words) for name, words in asked.items()]
     if verb.moves_arms:

@@ -268,7 +268,7 @@ class CellApp(JobKeys):
     ) -> None:
         # the job's thread and that of signals call by the queue of messages
         jobs = JobRunner(partial(self.call_later, self.ask_before_motion), partial(self.call_later, self.show_end))
-        leaving = Leaving(jobs, partial(self.call_later, self.leave_at_once), patience_s, ends_process=ends_process)
+        leaving = Leaving(jobs, partial(self.call_later, self._leave, True), patience_s, ends_process=ends_process)
         super().__init__(profiles, logs, jobs, leaving)
         self.passes = SlowCollections()
         self.others = JobsOfOthers(self)
@@ -339,10 +339,6 @@ class CellApp(JobKeys):
                 offer_to_quit(self, self._leave)
         else:
             self.exit(return_code=self.jobs.code)
-
-    def leave_at_once(self) -> None:
-        """Quit as if the question had been answered with yes."""
-        self._leave(True)
 
     def _leave(self, leave: bool) -> None:
         self.refresh_bindings()
