@@ -11,7 +11,7 @@ import sys
 import threading
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 from cellapp.commands.view.parts import Parts, printed
 from cellapp.ground.control import Aborted, JobControl
@@ -94,17 +94,17 @@ class CommandJob:
         if event.note or event.detail is None:  # the note of a step stands until the next step
             self._bars.update(task, note=event.note)
 
-    def say(self, *lines: str) -> None:
-        """Print lines on standard output, or on standard error if standard output carries the JSON."""
-        self._stop_bars()
-        for line in lines:
-            print(self._filled(line), file=sys.stderr if self._json_file == "-" else sys.stdout, flush=True)
+    def say(self, line: str) -> None:
+        """Print a line on standard output, or on standard error if standard output carries the JSON."""
+        self._print(line, sys.stderr if self._json_file == "-" else sys.stdout)
 
-    def warn(self, *lines: str) -> None:
-        """Print lines that a person must see on standard error, whatever standard output is used for."""
+    def warn(self, line: str) -> None:
+        """Print a line that a person must see on standard error, whatever standard output is used for."""
+        self._print(line, sys.stderr)
+
+    def _print(self, line: str, stream: TextIO) -> None:
         self._stop_bars()
-        for line in lines:
-            print(self._filled(line), file=sys.stderr, flush=True)
+        print(self._filled(line), file=stream, flush=True)
 
     def show_view(self, view: Parts, rest: str = "") -> None:
         """Print the tables and lines of a view in their order; on a terminal as much as fits, if ``rest`` names it."""

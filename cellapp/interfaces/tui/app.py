@@ -365,11 +365,6 @@ class CellApp(JobKeys):
         """The shown screen of the day, below any dialog."""
         return next(screen for screen in reversed(self.screen_stack) if isinstance(screen, DayScreen))
 
-    @property
-    def _made_screen(self) -> DayScreen | None:
-        """The screen of the day; None while it is being mounted, so that it is not drawn twice."""
-        return self.day_screen if self.day_screen.is_mounted else None
-
     def _screen_of(self, step: Step) -> DayScreen:
         if step not in self._screens:
             screen = next(entry for entry in SCREENS if entry.step == step).make()
@@ -551,16 +546,20 @@ class CellApp(JobKeys):
 
     def draw_all(self) -> None:
         """Redraw the current screen completely."""
-        with contextlib.suppress(NoMatches, StopIteration):  # no screen is mounted yet, or screens are being removed
-            self._draw_message()
-            if (screen := self._made_screen) is not None:
-                screen.show_workspace(self.workspace)
+        self._draw_message()
+        self._draw(lambda screen: screen.show_workspace(self.workspace))
         self._draw_job()
         self.refresh_bindings()
 
+    def _draw(self, draw: Callable[[DayScreen], object]) -> None:
+        """Draw on the current screen, unless it is being mounted and will be drawn then."""
+        with contextlib.suppress(NoMatches, StopIteration):  # no screen is mounted yet, or screens are being removed
+            if self.day_screen.is_mounted:
+                draw(self.day_screen)
+
     def _draw_message(self) -> None:
-        with contextlib.suppress(NoMatches, StopIteration):
-            self.day_screen.query_one(".message", Line).say(self.message, f"message {self._severity}")
+        said = self.message, f"message {self._severity}"
+        self._draw(lambda screen: screen.query_one(".message", Line).say(*said))
 
     def _draw_events(self) -> None:
         """Process the oldest events of the job, and draw if anything changed.
@@ -573,9 +572,7 @@ class CellApp(JobKeys):
             self.record.add(event)
         live = self.jobs.control.live() if self.jobs.running else None
         self.record.look(live)
-        with contextlib.suppress(NoMatches, StopIteration):
-            if (screen := self._made_screen) is not None:
-                screen.query_one(LiveStrip).show(live, self.workspace.unseen)
+        self._draw(lambda screen: screen.query_one(LiveStrip).show(live, self.workspace.unseen))
         if self.record.changes == self._drawn:
             return
         self._drawn = self.record.changes
@@ -590,10 +587,12 @@ class CellApp(JobKeys):
 
     def _draw_job(self) -> None:
         """Draw the state and the job on the current screen."""
-        with contextlib.suppress(NoMatches, StopIteration):
-            if (screen := self._made_screen) is not None:
-                screen.draw_state()
-                screen.show_job(self.record)
+
+        def draw(screen: DayScreen) -> None:
+            screen.draw_state()
+            screen.show_job(self.record)
+
+        self._draw(draw)
 
     def _say_state(self) -> None:
         """Show a new state of the job in the message line."""
