@@ -21,7 +21,7 @@ from cellapp.commands.push.request import VERB as PUSH
 from cellapp.commands.record import Asked, Request, Stored, Variant, Verb, View, Work
 from cellapp.commands.registry import records
 from cellapp.commands.run.request import VERB as RUN
-from cellapp.commands.run.result import WholeRunResult
+from cellapp.commands.run_results import WholeRunResult
 from cellapp.commands.show.request import show_verb
 from cellapp.commands.show.result import Shown
 from cellapp.commands.show.view import view

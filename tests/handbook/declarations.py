@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import textwrap
 
-from cellapp.commands.docs.effect_parts import WIDTH, declared_part
+from cellapp.commands.docs.handbook import WIDTH, declared_part
 from cellapp.commands.docs.keys import KEYS
 from cellapp.commands.docs.schema import results_by_name, written_results
 from cellapp.commands.registry import GROUPS, PANEL, name_of, records

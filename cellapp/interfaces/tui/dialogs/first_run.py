@@ -59,7 +59,7 @@ def begin_with(app: Host, answer: str | None) -> None:
     elif answer == "readings":
         take_own_readings(app)
     elif answer == "open":
-        picker = FilePicker("Which profile?", app.profiles.parent, lambda path: path.suffix == ".yaml")
+        picker = FilePicker("Which profile?", app.profiles.parent, [".yaml"])
         app.push_screen(picker, lambda path: None if path is None else app.open_profile(path))
 
 

@@ -114,7 +114,7 @@ class CellScreen(TabsScreen):
 
     def action_open(self) -> None:
         """Ask for the path of a profile."""
-        picker = FilePicker("Which profile?", self.cell_app.profiles, lambda path: path.suffix == ".yaml")
+        picker = FilePicker("Which profile?", self.cell_app.profiles, [".yaml"])
         self.app.push_screen(picker, lambda path: None if path is None else self._open_listed(path))
 
     def _open_listed(self, path: Path) -> None:

@@ -142,7 +142,7 @@ class TargetsScreen(TabsScreen):
             self.say(self.state.no_run, "warning")
             return
         known = self._path or self.workspace.profile_path or Path.cwd() / "targets.yaml"
-        picker = FilePicker("A list of targets (YAML, CSV)", known.parent, lambda path: path.suffix in LIST_SUFFIXES)
+        picker = FilePicker("A list of targets (YAML, CSV)", known.parent, LIST_SUFFIXES)
         self.app.push_screen(picker, self._open)
 
     def action_edit(self) -> None:
@@ -254,7 +254,7 @@ class TargetsScreen(TabsScreen):
                 )
 
         title = f"A program of a UR controller ({', '.join(PROGRAMS)})"
-        self.app.push_screen(FilePicker(title, Path.cwd(), lambda path: path.suffix in PROGRAMS), ask)
+        self.app.push_screen(FilePicker(title, Path.cwd(), PROGRAMS), ask)
 
     # -- drawing -------------------------------------------------------------------------------------------------------
 
