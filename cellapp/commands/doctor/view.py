@@ -37,15 +37,15 @@ def profile_tables(profile: Profile) -> list[Table]:
 
 def cell_words(profile: Profile) -> list[tuple[str, str]]:
     """Return arms, tracker, air sensor and everything else in the profile, each as name and words."""
-    words = [row for name, arm in profile.arms.items() for row in _arm_words(name, arm)]
-    tracker = profile.tracker
-    words.append(("tracker", _device(tracker.driver.kind, tracker.driver.has_device)))
-    words.append(("tracker pose", _pose(tracker.pose)))
-    air = profile.sensors.air
-    words.append(("air sensor", "none: the tracker's own" if air is None else _device(air.kind, True)))
-    words += [(f"obstacle {name}", _obstacle(obstacle)) for name, obstacle in profile.obstacles.items()]
-    words.append(("targets", profile.targets or "none"))
-    return words
+    tracker, air = profile.tracker, profile.sensors.air
+    return [
+        *(row for name, arm in profile.arms.items() for row in _arm_words(name, arm)),
+        ("tracker", _device(tracker.driver.kind, tracker.driver.has_device)),
+        ("tracker pose", _pose(tracker.pose)),
+        ("air sensor", "none: the tracker's own" if air is None else _device(air.kind, True)),
+        *((f"obstacle {name}", _obstacle(obstacle)) for name, obstacle in profile.obstacles.items()),
+        ("targets", profile.targets or "none"),
+    ]
 
 
 def _obstacle(obstacle: AnyObstacle) -> str:
@@ -97,8 +97,7 @@ def constraint_words(profile: Profile) -> list[tuple[str, str]]:
         ("measuring", f"{tracker.averaging:g} s a point{_repeats(profile)}"),
     ]
     for name, arm in profile.arms.items():
-        limits = arm.joint_limits
-        words.append((f"joints {name}", _ranges(limits)))
+        words.append((f"joints {name}", _ranges(arm.joint_limits)))
         words.append((f"incidence {name}", f"beam within {math.degrees(arm.smr.acceptance):.0f} deg of the SMR's axis"))
     if plan.ranges is not None:
         words.append(("ranges", f"{_ranges(plan.ranges)}, for all arms"))

@@ -36,7 +36,7 @@ from textual.driver import Driver
 from textual.screen import Screen
 from textual.theme import Theme
 
-from cellapp.commands.docs.keys import KEYS, SHOWN
+from cellapp.commands.docs.keys import KEYS, SHOWN, Step
 from cellapp.commands.record import View
 from cellapp.commands.registry import ALL
 from cellapp.interfaces.tui import terminal
@@ -56,7 +56,7 @@ from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.terminal import driver_that_stops
 from cellapp.interfaces.tui.widgets.arm_panel import LiveStrip
 from cellapp.interfaces.tui.widgets.controls import Line
-from cellapp.interfaces.tui.workspace import Step, Workspace, holds_run, last_run, load_workspace
+from cellapp.interfaces.tui.workspace import Workspace, holds_run, last_run, load_workspace
 
 if TYPE_CHECKING:
     from cellapp.ground.results import Result

@@ -27,7 +27,7 @@ from cellapp.commands.report.sections import SECTIONS, placed
 from cellapp.commands.report.summary import findings, judged_matrix, steps, verdict
 from cellapp.commands.run_results import RunResults
 from cellapp.commands.view.parts import Section
-from cellapp.commands.view.table import Column, Interval, Number, Table, number_column
+from cellapp.commands.view.table import Column, Interval, Number, Table
 from cellapp.commands.view.words import judged_sentence, judgement_table
 from cellapp.estimation.uncertainty.records import Characteristic, Conformity, Judgement, UncertaintyContribution
 from cellapp.ground.counting import counted
@@ -170,7 +170,7 @@ def test_saved_numbers_are_exact(value: float) -> None:
         Interval(value, value),
         int(value) if abs(value) < 1e9 else 0,
     )
-    columns = (number_column("a", ".3f"), *(Column(name, "number") for name in "bcde"))
+    columns = (Column("a", ".3f"), *(Column(name, "") for name in "bcde"))
     ((shown, number, with_unit, interval, whole),) = Table("t", columns, (row,)).shown_and_exact()
     assert float(shown[1] or shown[0]) == value
     assert float(number[1] or number[0]) == value

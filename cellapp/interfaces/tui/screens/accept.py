@@ -16,7 +16,7 @@ from textual.binding import BindingType
 from cellapp.commands.certificate.request import VERB as CERTIFICATE_VERB
 from cellapp.commands.check.request import STOPS
 from cellapp.commands.check.request import VERB as CHECK_VERB
-from cellapp.commands.docs.keys import SHOWN
+from cellapp.commands.docs.keys import SHOWN, Step
 from cellapp.commands.iso9283.request import VERB as ISO9283_VERB
 from cellapp.commands.record import Verb
 from cellapp.commands.report.request import VERB as REPORT
@@ -29,7 +29,7 @@ from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.tabs import TabsScreen
 from cellapp.interfaces.tui.widgets.controls import Line
 from cellapp.interfaces.tui.widgets.parts_view import words_first
-from cellapp.interfaces.tui.workspace import Step, Workspace, new_folder
+from cellapp.interfaces.tui.workspace import Workspace, new_folder
 
 _SHOWN: tuple[tuple[Verb, StageName, str, str], ...] = (
     (CHECK_VERB, CHECK, "check", "Check"),

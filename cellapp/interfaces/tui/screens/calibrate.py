@@ -11,6 +11,7 @@ from cellapp.cell.exports.formats import all_formats
 from cellapp.commands.calibrate import request
 from cellapp.commands.calibrate.charts import pair_stop_chart, stop_error_chart
 from cellapp.commands.calibrate.view import calibration_tables, parameters_view, tracker_sentences
+from cellapp.commands.docs.keys import Step
 from cellapp.commands.export.request import STAGES
 from cellapp.commands.export.request import VERB as EXPORT
 from cellapp.commands.report.data import ReportData
@@ -23,7 +24,7 @@ from cellapp.interfaces.tui.confirmations import offer_again
 from cellapp.interfaces.tui.dialogs.question import WRITE
 from cellapp.interfaces.tui.keys import bind
 from cellapp.interfaces.tui.screens.tabs import TabsScreen
-from cellapp.interfaces.tui.workspace import Step, Workspace
+from cellapp.interfaces.tui.workspace import Workspace
 
 
 class CalibrateScreen(TabsScreen):

@@ -19,7 +19,7 @@ from textual.content import Content
 from cellapp.commands.collect.charts import drift_chart, live_drift_chart, residual_chart, standard_error_chart
 from cellapp.commands.collect.request import VERB as COLLECT
 from cellapp.commands.collect.view import collection_tables
-from cellapp.commands.docs.keys import SHOWN
+from cellapp.commands.docs.keys import SHOWN, Step
 from cellapp.commands.view.charts import Chart
 from cellapp.ground.control import Request
 from cellapp.ground.counting import counted
@@ -38,7 +38,7 @@ from cellapp.interfaces.tui.widgets.collected_stops import CollectedStops
 from cellapp.interfaces.tui.widgets.controls import Line
 from cellapp.interfaces.tui.widgets.log_pane import LogPane
 from cellapp.interfaces.tui.widgets.parts_view import PartsView
-from cellapp.interfaces.tui.workspace import Step, Workspace
+from cellapp.interfaces.tui.workspace import Workspace
 
 _Style = Literal["idle", "running", "waiting", "halted", "done"]
 

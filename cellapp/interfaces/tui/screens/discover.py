@@ -10,7 +10,7 @@ from textual.binding import BindingType
 from cellapp.commands.collect.request import VERB as COLLECT
 from cellapp.commands.discover import request
 from cellapp.commands.discover.view import found_parts, proposal_parts
-from cellapp.commands.docs.keys import SHOWN
+from cellapp.commands.docs.keys import SHOWN, Step
 from cellapp.estimation.discovery.records import DiscoverResult
 from cellapp.ground.counting import counted
 from cellapp.ground.results import DISCOVER
@@ -19,7 +19,7 @@ from cellapp.interfaces.tui.confirmations import offer_again
 from cellapp.interfaces.tui.dialogs.question import BEGIN, Choice
 from cellapp.interfaces.tui.keys import bind
 from cellapp.interfaces.tui.screens.tabs import TabsScreen
-from cellapp.interfaces.tui.workspace import Step, Workspace
+from cellapp.interfaces.tui.workspace import Workspace
 
 _NO_PROPOSAL = f"No stops are proposed. {SHOWN['add']} proposes stops that best settle what these data leave open."
 _PROPOSED = 20

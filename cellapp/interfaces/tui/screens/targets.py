@@ -32,7 +32,7 @@ from cellapp.commands.compensate.target_list import (
 )
 from cellapp.commands.compensate.view import target_parts
 from cellapp.commands.compensate.words import compensate_summary, unknown_lines, verify_lines
-from cellapp.commands.docs.keys import SHOWN
+from cellapp.commands.docs.keys import SHOWN, Step
 from cellapp.commands.push.request import VERB as PUSH
 from cellapp.commands.view.parts import Part
 from cellapp.ground.counting import counted
@@ -46,7 +46,7 @@ from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.tabs import TabsScreen, id_of
 from cellapp.interfaces.tui.widgets.parts_view import words_first
 from cellapp.interfaces.tui.widgets.tables import TextTable
-from cellapp.interfaces.tui.workspace import Step, Workspace
+from cellapp.interfaces.tui.workspace import Workspace
 
 EMPTY = f"No targets: {SHOWN['open']} opens a list (YAML, CSV)."
 
