@@ -31,7 +31,7 @@ from cellapp.commands.view.table import Column, Table
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import ErrorSummary
 from cellapp.interfaces.cli.command_outputs import Commands
-from cellapp.interfaces.cli.verb_commands import add_verb, group_of
+from cellapp.interfaces.cli.verb_commands import add_verb
 from cellapp.interfaces.page.page import template
 from cellapp.interfaces.python.printed import html_view
 from cellapp.interfaces.render.terminal import plain_text
@@ -177,7 +177,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[ToyRequest]:
 def test_words_after_a_verb_fix_fields_and_the_first_may_be_left_out(asked: list[ToyRequest]) -> None:
     app = Commands()
     app.callback()(lambda: None)
-    app.add_typer(group_of(VERB), name=VERB.name)
+    add_verb(app, VERB, VERB.name)
     for words in (["all", "c.yaml"], ["c.yaml", "--sides", "both"], ["one", "c.yaml", "--count", "1"]):
         assert CliRunner().invoke(app, ["toy", *words]).exit_code == 0
     assert asked == [

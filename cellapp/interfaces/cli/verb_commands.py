@@ -96,19 +96,14 @@ class _FirstByDefault(TyperGroup):
 
 
 def add_verb(app: Commands, verb: Verb, name: str, panel: str | None = None) -> None:
-    """Add the command of a verb; a verb with variants is a group."""
-    if verb.variants:
-        app.add_typer(group_of(verb), name=name, rich_help_panel=panel)
-    else:
+    """Add the command of a verb; a verb with variants is a group, with a command for each word."""
+    if not verb.variants:
         app.command(name, rich_help_panel=panel)(command_of(verb))
-
-
-def group_of(verb: Verb) -> Commands:
-    """Return the group of a verb with variants: one command for each word."""
+        return
     group = Commands(cls=_FirstByDefault, no_args_is_help=True, help=_help(verb))
     for word, variant in verb.variants.items():
         group.command(word, help=_help(verb, variant.help))(command_of(verb, variant.fixed))
-    return group
+    app.add_typer(group, name=name, rich_help_panel=panel)
 
 
 def _help(verb: Verb, text: str = "") -> str:

@@ -75,8 +75,7 @@ class CalibrateScreen(TabsScreen):
         """Draw the calibration of the run."""
         result: CalibrateResult | None = workspace.stored(CALIBRATE)
         if result is None:
-            for title in self.TABS:
-                self.tab(title).show([])
+            self.show_nothing()
             return
         outdated = self.outdated(CALIBRATE, "go", "calibrates again")
         self.tab("Stages").show((*calibration_tables(result), *tracker_sentences(result), *result.notes), outdated)

@@ -76,8 +76,7 @@ class DiscoverScreen(TabsScreen):
         """Draw the discovery of the run."""
         found: DiscoverResult | None = workspace.stored(DISCOVER)
         if found is None:
-            for title in self.TABS:
-                self.tab(title).show([])
+            self.show_nothing()
             return
         self.tab("Found").show(found_parts(found), self.outdated(DISCOVER, "go", "searches again"))
         proposal = [_NO_PROPOSAL] if found.proposal is None else proposal_parts(found.proposal)

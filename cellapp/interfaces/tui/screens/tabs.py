@@ -50,6 +50,11 @@ class TabsScreen(DayScreen):
             for content in self.tabs.active_pane.query("DataTable, PartsView"):
                 self.call_after_refresh(content.focus)
 
+    def show_nothing(self) -> None:
+        """Let every tab say what it says without a result."""
+        for title in self.TABS:
+            self.tab(title).show([])
+
     def action_next_tab(self) -> None:
         """Show the tab after the current one; after the last, the first."""
         titles = list(self.TABS)
