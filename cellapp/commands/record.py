@@ -145,12 +145,8 @@ class View:
     held: str = ""
 
 
-def _no_run_page(run: RunFile) -> Path:
-    raise InputError(f"{run.path}: no page can be written from here")
-
-
-def _no_certificate_page(result: Result) -> str:
-    raise InputError("this interface draws no page of a certificate")
+def _no_page(shown: RunFile | Result) -> Any:
+    raise InputError("this interface draws no page of a run or a certificate")
 
 
 Ask = Callable[[str], bool]
@@ -183,10 +179,10 @@ class Work:
     control: JobControl = field(default_factory=JobControl)
     ask: Callable[[str], Ask | None] = field(default=lambda profile_name: None)
     outputs: Outputs = NEW_ONLY
-    certificate_page: Callable[[Any], str] = field(default=_no_certificate_page)
+    certificate_page: Callable[[Any], str] = field(default=_no_page)
     announce: Callable[[Result], None] = field(default=lambda result: None)
     say: Callable[[str], None] = field(default=lambda sentence: None)
-    write_page: Callable[[RunFile], Path] = field(default=_no_run_page)
+    write_page: Callable[[RunFile], Path] = field(default=_no_page)
     choose: Callable[[str, tuple[str, ...]], str] = field(default=lambda question, answers: "")
 
 

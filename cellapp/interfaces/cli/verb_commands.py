@@ -35,7 +35,7 @@ from cellapp.interfaces.cli.command_outputs import (
     forcing,
 )
 from cellapp.interfaces.cli.job import CommandJob
-from cellapp.interfaces.page import draw_certificate, write_page
+from cellapp.interfaces.page import certificate_page, write_page
 
 if TYPE_CHECKING:
     from cellapp.ground.results import Result
@@ -170,7 +170,7 @@ def _work(job: CommandJob, announce: Callable[[Result], None], *, allowed: bool)
         lambda profile_name: asking(job, profile_name, allowed=allowed),
         job.outputs,
         write_page=write_page,
-        certificate_page=draw_certificate,
+        certificate_page=certificate_page,
         announce=announce,
         say=job.say,
         choose=partial(_choose, job),

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from cellapp.commands.record import Ask, Request, Verb, Work
 from cellapp.commands.run.request import VERB as RUN
 from cellapp.ground.control import JobControl
-from cellapp.interfaces.page import draw_certificate, write_page
+from cellapp.interfaces.page import certificate_page, write_page
 from cellapp.interfaces.tui.jobs import Job
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ def verb_job(verb: Verb, request: Request) -> Job:
             lambda profile_name: ask,
             choose=lambda question, answers: answers[-1] if verb.moves_arms and ask(question) else "",
             write_page=write_page,
-            certificate_page=draw_certificate,
+            certificate_page=certificate_page,
         )
         return verb.run(request, given)
 

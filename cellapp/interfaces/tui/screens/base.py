@@ -15,7 +15,7 @@ from textual.screen import Screen
 from textual.widgets import Static
 
 from cellapp.commands.docs.keys import KEYS, SHOWN, Step
-from cellapp.interfaces.tui.dialogs.question import BEGIN, USE_STALE, Choice, ChosenAnswer, reading_of
+from cellapp.interfaces.tui.dialogs.question import BEGIN, USE_STALE, Choice, ChosenAnswer, Reading
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.host import Host
 from cellapp.interfaces.tui.job_record import JobRecord
@@ -138,7 +138,7 @@ class DayScreen(Screen[None]):
         from cellapp.interfaces.tui.widgets.parts_view import words_first
 
         text = with_keys(plain_text(words_first([*view.failed, *view.parts]), READING_WIDTH))
-        self.app.push_screen(reading_of(self.cell_app.record.name, [text]))
+        self.app.push_screen(Reading(f"# {self.cell_app.record.name}\n\n```text\n{text}\n```"))
 
     def start(self, job: Job, shows_result: ShowsResult | None = None) -> None:
         """Start a job; if it cannot start, a sentence says why. By default this screen shows its result."""
