@@ -444,20 +444,13 @@ class CellApp(JobKeys):
 
     # -- profile and run -----------------------------------------------------------------------------------------------
 
-    def open_profile(self, path: Path) -> None:
-        """Open a profile without a run."""
-        self._load(path, None)
-
     def say_last_run(self, words: str) -> None:
         """Say more of the last run, in the line that names it."""
         self.waits = words
         self.draw_all()
 
-    def open_run(self, folder: Path, profile_path: Path | None = None) -> None:
-        """Open a run; its own profile is used."""
-        self._load(profile_path, folder)
-
-    def _load(self, profile_path: Path | None, folder: Path | None) -> None:
+    def open_run(self, folder: Path | None, profile_path: Path | None = None) -> None:
+        """Open a run; its own profile is used. Without one open a profile."""
         if self._hides_moving_arms(folder):
             text = f"'{self.record.name}' moves arms; stop it or wait for its end before something else is opened."
             self.say(text, "warning")
@@ -525,7 +518,7 @@ class CellApp(JobKeys):
             return  # something else is open now
         folder = job.folder or self.workspace.folder
         self.reading = f"What '{job.name}' has stored is being read."
-        self._load(self.workspace.profile_path, folder if holds_run(folder) else self.workspace.folder)
+        self.open_run(folder if holds_run(folder) else self.workspace.folder, self.workspace.profile_path)
         self.refresh_bindings()
         self.passes.look_again()  # nothing moves now
 

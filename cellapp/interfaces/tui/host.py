@@ -113,10 +113,10 @@ class Host(App[None]):
 
     def open_profile(self, path: Path) -> None:
         """Open a profile without a run."""
-        raise NotImplementedError
+        self.open_run(None, path)
 
-    def open_run(self, folder: Path, profile_path: Path | None = None) -> None:
-        """Open a run; its own profile is used."""
+    def open_run(self, folder: Path | None, profile_path: Path | None = None) -> None:
+        """Open a run; its own profile is used. Without one open a profile."""
         raise NotImplementedError
 
     def action_show(self, step: Step) -> None:
