@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
+import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, TypeVar
 
 import pytest
 
 from tests.sure import sure
 
+ROOT = Path(__file__).parents[1]
 WAIT_S = 60.0
 _LOOK_S = 0.005
 
@@ -27,6 +32,20 @@ def until(holds: Callable[[], Any], what: str, wait_s: float = WAIT_S) -> float:
             pytest.fail(f"not within {wait_s:g} s: {what}")
         pause.wait(_LOOK_S)
     return time.monotonic() - began_s
+
+
+@contextmanager
+def process_of(*words: str, cwd: Path = ROOT, **how: Any) -> Iterator[subprocess.Popen[str]]:
+    """A Python program, by its module and arguments, in a process of its own, which does not outlive its test."""
+    command, path = [sys.executable, "-m", *words], {"PYTHONPATH": str(ROOT), "PYTHONWARNINGS": "default"}
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **how}
+    process = subprocess.Popen(command, cwd=cwd, env={**os.environ, **path}, text=True, **pipes)
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            process.kill()
+        process.communicate(timeout=WAIT_S)
 
 
 def within(call: Callable[[], T], what: str, wait_s: float = WAIT_S) -> T:

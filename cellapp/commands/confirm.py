@@ -5,20 +5,18 @@ A cell whose arms are simulated, or emulated on this computer, never asks.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 
 from cellapp.cell.driving.diagnosis import examine
 from cellapp.cell.driving.motion import Confirm, Vector
+from cellapp.commands.record import Ask
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.model.nominal import nominal_arm, pose_matrix
-
-Ask = Callable[[str], bool]
-"""Shows a person the first motion in words; returns whether the person allows it."""
 
 _STILL_RAD = 1e-4
 """Smaller steps are shown as no motion: nobody could see them."""

@@ -15,6 +15,7 @@ from cellapp.cell.run.recordings import recordings_digest
 from cellapp.cell.run.sqlite_file import REPORT_FILE
 from cellapp.cell.targets.records import VerifyResult
 from cellapp.commands.certificate.judgements import judge_run, other_arms_found, unmeasured_tests
+from cellapp.commands.collect.result import last_session
 from cellapp.commands.run_results import RunResults, read_results
 from cellapp.commands.stages import CERTIFICATE_FILE, NextVerb, RunStages, at_targets, next_command
 from cellapp.commands.view.words import named_errors
@@ -209,8 +210,8 @@ def _again(run: RunFile) -> Iterator[tuple[str, Step]]:
 def _missing_verb(run: RunFile, stages: RunStages, arms: Mapping[str, ArmProgress]) -> NextVerb:
     if not any(arm.measured or arm.recorded for arm in arms.values()):
         return "collect" if any(arm.planned for arm in arms.values()) else ""  # a run of tests alone has no plan
-    sessions = [one for one in run.sessions() if not one.again]
-    ended = sessions[-1].outcome if sessions else None
+    last = last_session(run.sessions())
+    ended = None if last is None else last.outcome
     if ended == "complete" and _has_new_stops(run):
         return "collect"
     done = ended in ("complete", "accurate enough")

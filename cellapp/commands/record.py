@@ -145,12 +145,12 @@ class View:
     held: str = ""
 
 
-def _no_run_page(run: RunFile) -> Path:
-    raise InputError(f"{run.path}: no page can be written from here")
+def _no_page(shown: RunFile | Result) -> Any:
+    raise InputError("this interface draws no page of a run or a certificate")
 
 
-def _no_certificate_page(result: Result) -> str:
-    raise InputError("this interface draws no page of a certificate")
+Ask = Callable[[str], bool]
+"""Shows a person the first motion in words; returns whether the person allows it."""
 
 
 @dataclass(frozen=True)
@@ -177,12 +177,12 @@ class Work:
     """
 
     control: JobControl = field(default_factory=JobControl)
-    ask: Callable[[str], Callable[[str], bool] | None] = field(default=lambda profile_name: None)
+    ask: Callable[[str], Ask | None] = field(default=lambda profile_name: None)
     outputs: Outputs = NEW_ONLY
-    certificate_page: Callable[[Any], str] = field(default=_no_certificate_page)
+    certificate_page: Callable[[Any], str] = field(default=_no_page)
     announce: Callable[[Result], None] = field(default=lambda result: None)
     say: Callable[[str], None] = field(default=lambda sentence: None)
-    write_page: Callable[[RunFile], Path] = field(default=_no_run_page)
+    write_page: Callable[[RunFile], Path] = field(default=_no_page)
     choose: Callable[[str, tuple[str, ...]], str] = field(default=lambda question, answers: "")
 
 
@@ -266,9 +266,7 @@ class Verb:
     @property
     def opens_run(self) -> bool:
         """Whether it works on an existing run, which its field ``folder`` names."""
-        return any(
-            name == "folder" and words.argument and words.metavar == "DIR" for name, words in self.request.asked()
-        )
+        return ("folder", _RUN) in self.request.asked()
 
     def is_needed(self, field: str) -> bool:
         """Return whether a field of its request must be given."""
@@ -313,7 +311,8 @@ class Verb:
 
 # -- fields that the requests of several verbs have --------------------------------------------------------------------
 
-RunFolder = Annotated[Path, Asked("The run's folder.", "DIR", argument=True)]
+_RUN = Asked("The run's folder.", "DIR", argument=True)
+RunFolder = Annotated[Path, _RUN]
 ProfilePath = Annotated[Path, Asked("The cell, as YAML.", "PROFILE", argument=True)]
 TargetsPath = Annotated[Path | tuple[Any, ...], Asked("Target list: .yaml or .csv.", "TARGETS", argument=True)]
 """A list's file; a program that has targets may give them as they are."""

@@ -29,8 +29,13 @@ PANELS: Mapping[str, tuple[str, ...]] = {
 }
 """Title of each panel of the help -> its commands."""
 PANEL: Mapping[str, str] = {word: title for title, words in PANELS.items() for word in words}
-ALL = tuple(word for word in PANEL if word not in ("stop", "trials"))
-"""Words of the verbs; ``stop`` and the trials have no record."""
+ALL = tuple(word for word in PANEL if word != "stop")
+"""Words of the verbs; ``stop`` has no record."""
+GROUPS: Mapping[str, str] = {
+    "job": "Ask the job that runs in DIR to pause, resume or abort; say that you have seen an arm at rest.",
+    "trials": "Effects hidden in a simulated cell of yours: which of which size would be named?",
+}
+"""Words of several verbs, which follow it -> its help."""
 MOVES = "ARMS MOVE. "
 """Begins the help of a command that moves arms."""
 _HERE = Path(__file__).parent
@@ -42,12 +47,15 @@ def name_of(verb: str) -> str:
 
 
 def records(verbs: Sequence[str] = ALL) -> tuple[Verb, ...]:
-    """Return the records of verbs; imports them."""
-    return tuple(import_module(f"cellapp.commands.{_module(verb)}").VERB for verb in verbs)
+    """Return the records of verbs, of a group those of each; imports them."""
+    modules = [import_module(f"cellapp.commands.{_module(verb)}") for verb in verbs]
+    return tuple(one for module in modules for one in getattr(module, "VERBS", None) or (module.VERB,))
 
 
 def help_of(verb: str) -> str:
     """Return the help of a verb's command from the source: importing all of them would be slow."""
+    if verb in GROUPS:
+        return GROUPS[verb]
     source = _HERE.joinpath(*_module(verb).split(".")).with_suffix(".py").read_text(encoding="utf-8")
     declared = [node for node in ast.parse(source).body if isinstance(node, ast.ClassDef)]
     request = next(node for node in declared if any(ast.unparse(base) == "Request" for base in node.bases))

@@ -1,6 +1,6 @@
 """The current results of a run: what its verbs measured and computed, read from its stages.
 
-Result of ``report``, and how a verb gives all current results of a run with its own.
+Results of ``report`` and ``run``, which give all current results of a run with their own.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from typing import Any, TypeVar, get_args
 
 import numpy as np
 
+from cellapp.cell.driving.records import CollectResult
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.targets.path import PathResult
 from cellapp.cell.targets.records import CompensateResult, TargetCommand, VerifyResult
@@ -110,6 +111,13 @@ class ReportResult(RunResults, schema="cellapp-report"):
     """``report``: the page, and the results that it shows."""
 
     page: str
+
+
+class WholeRunResult(RunResults, schema="cellapp-run"):
+    """``run``: the folder, the results of every step, and notes for the operator."""
+
+    collect: CollectResult | None = None
+    notes: tuple[str, ...] = ()
 
 
 R = TypeVar("R", bound=RunResults)

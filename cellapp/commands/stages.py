@@ -458,6 +458,11 @@ def _why_outdated(
     return ", ".join(reasons)
 
 
+def not_calibrated(path: Path, folder: Path) -> InputError:
+    """Return the error that the run in a folder must be calibrated first."""
+    return InputError(f"{path}: not calibrated yet; run 'cellapp calibrate {shell_word(folder)}' first")
+
+
 def earlier_digest(run: RunFile, arm: str) -> str:
     """Return the SHA-256 of a run's model in force and of one arm's readings: the basis of a later run's prior.
 
@@ -465,7 +470,7 @@ def earlier_digest(run: RunFile, arm: str) -> str:
     """
     in_force = _in_force_before_moving({stage.name: stage for stage in read_history(run)})
     if in_force is None:
-        raise InputError(f"{run.path}: not calibrated yet; run 'cellapp calibrate {shell_word(run.folder)}' first")
+        raise not_calibrated(run.path, run.folder)
     return sha256_of(f"{in_force.digest} {readings_digest(run.readings(arm))}")
 
 

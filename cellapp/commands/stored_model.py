@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from cellapp.cell.run.file import RunFile
-from cellapp.commands.stages import CALIBRATION_FILE, Basis, RunStages, StoredStage, append_stage
+from cellapp.commands.stages import CALIBRATION_FILE, Basis, RunStages, StoredStage, append_stage, not_calibrated
 from cellapp.estimation.calibration.records import CalibrateResult, largest_correlations, tied_estimates
 from cellapp.estimation.calibration.station_location import wrong_factory
 from cellapp.estimation.monitoring.parameter_changes import CalibratedArm, combinations
@@ -21,7 +21,7 @@ from cellapp.robot.model.model import CellModel
 def stage_in_force(run: RunFile, stages: RunStages) -> StoredStage:
     """Return the stage whose model compensation uses. Raises ``InputError`` if the run is not calibrated yet."""
     if stages.in_force is None:
-        raise InputError(f"{run.path}: not calibrated yet; run 'cellapp calibrate {shell_word(run.folder)}' first")
+        raise not_calibrated(run.path, run.folder)
     return stages.in_force
 
 

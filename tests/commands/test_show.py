@@ -21,7 +21,7 @@ from cellapp.commands.push.request import VERB as PUSH
 from cellapp.commands.record import Asked, Request, Stored, Variant, Verb, View, Work
 from cellapp.commands.registry import records
 from cellapp.commands.run.request import VERB as RUN
-from cellapp.commands.run.result import WholeRunResult
+from cellapp.commands.run_results import WholeRunResult
 from cellapp.commands.show.request import show_verb
 from cellapp.commands.show.result import Shown
 from cellapp.commands.show.view import view
@@ -31,8 +31,7 @@ from cellapp.commands.view.table import Column, Table
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import ErrorSummary
 from cellapp.interfaces.cli.command_outputs import Commands
-from cellapp.interfaces.cli.verb_commands import add_verb, group_of
-from cellapp.interfaces.page.figures import part_figures
+from cellapp.interfaces.cli.verb_commands import add_verb
 from cellapp.interfaces.page.page import template
 from cellapp.interfaces.python.printed import html_view
 from cellapp.interfaces.render.terminal import plain_text
@@ -106,10 +105,10 @@ def test_plain_text_says_everything_but_charts_and_details_in_its_order() -> Non
 
 
 def test_the_page_draws_parts_by_their_kind_and_leaves_empty_charts_out() -> None:
-    assert part_figures(PARTS, "key") == []
     html = str(template("sections/layout.html").module.draw_parts(PARTS, "key"))  # type: ignore[attr-defined]
     assert html.index("<p>first</p>") < html.index("<p>last</p>") < html.index("<caption>a table</caption>")
     assert "<dt>title</dt>" in html
+    assert "<figure" not in html
     assert "&lt;b&gt;" in html
     assert "<code>cellapp docs x</code> says more" in html
     assert '<details class="more">' in html
@@ -178,7 +177,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[ToyRequest]:
 def test_words_after_a_verb_fix_fields_and_the_first_may_be_left_out(asked: list[ToyRequest]) -> None:
     app = Commands()
     app.callback()(lambda: None)
-    app.add_typer(group_of(VERB), name=VERB.name)
+    add_verb(app, VERB, VERB.name)
     for words in (["all", "c.yaml"], ["c.yaml", "--sides", "both"], ["one", "c.yaml", "--count", "1"]):
         assert CliRunner().invoke(app, ["toy", *words]).exit_code == 0
     assert asked == [

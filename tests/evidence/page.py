@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from cellapp.commands.docs.effect_parts import WIDTH
+from cellapp.commands.docs.handbook import WIDTH
 from tests.evidence.skeleton import ROOT, Limit, program, stated_results, words
 
 README_ROWS: tuple[tuple[str, str, str], ...] = (

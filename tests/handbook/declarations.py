@@ -5,13 +5,14 @@ from __future__ import annotations
 import re
 import textwrap
 
-from cellapp.commands.docs.effect_parts import WIDTH, declared_part
+from cellapp.commands.docs.handbook import WIDTH, declared_part
 from cellapp.commands.docs.keys import KEYS
 from cellapp.commands.docs.schema import results_by_name, written_results
-from cellapp.commands.registry import ALL, PANEL, name_of, records
-from cellapp.interfaces.cli.top import JOB, REQUESTS, TRIALS
+from cellapp.commands.registry import GROUPS, PANEL, name_of, records
+from cellapp.interfaces.cli.top import REQUESTS
 from cellapp.robot.effects import EFFECTS
 from tests.evidence.page import readme_part, validation_part
+from tests.sure import sure
 
 _DECLARED = re.compile(r"<!--declared:(\w+)-->\n.*?<!--end-->\n", re.DOTALL)
 
@@ -27,12 +28,14 @@ def with_declarations(text: str) -> str:
 
 def verbs_part() -> str:
     """Every verb, what it does, whether it moves arms, its chapter: a Markdown table with its markers."""
-    verbs = dict(zip(ALL, records(), strict=True))
-    others = {"stop": (REQUESTS["stop"], "faults"), "job": (JOB, "faults"), "trials": (TRIALS, "scale")}
+    verbs = {verb.name.split()[0]: verb for verb in reversed(records())}
+    others = {word: (words, verbs[word].chapter) for word, words in GROUPS.items()}
+    others["stop"] = REQUESTS["stop"], "faults"
     rows, shown = [], ""
     for word, panel in PANEL.items():
-        words, chapter = others.get(word) or (verbs[word].summary, verbs[word].chapter)
-        moves = "**yes**" if word in verbs and verbs[word].moves_arms else ""
+        verb = verbs.get(name_of(word))
+        words, chapter = others.get(word) or (sure(verb).summary, sure(verb).chapter)
+        moves = "**yes**" if verb is not None and verb.moves_arms else ""
         start = f"| {panel if panel != shown else ''} | [`cellapp {name_of(word)}`]({chapter}.md) |"
         rows.append(f"{start} {words} | {moves} |")
         shown = panel

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from cellapp.commands.calibrate.view import batches_words
-from cellapp.commands.view.table import Cell, Number, Table, columns_of
+from cellapp.commands.view.table import Cell, Number, Table, table_of_cells
 from cellapp.commands.view.words import METHOD_WORDS, geometry_unit
 from cellapp.estimation.calibration.records import ArmCalibrationResult, CalibrateResult, NetworkResult
 from cellapp.ground.results import METHODS
@@ -13,21 +13,19 @@ from cellapp.ground.results import METHODS
 
 def pair_tables(calibrate: CalibrateResult) -> list[Table]:
     """Show the inter-base transform that each method identified, beside its value from the common tracker frame."""
-    columns = columns_of(
-        "parameter", ("by distances", ".5f"), ("standard error", ".5f"), ("by the tracker frame", ".5f"), "unit"
-    )
+    numbers = ("by distances", ".5f"), ("standard error", ".5f"), ("by the tracker frame", ".5f")
     tables = []
     for method in METHODS:
         if method not in calibrate.pair or not calibrate.pair[method].identified:
             continue
-        rows: list[tuple[Cell, ...]] = []
+        rows = list[tuple[Cell, ...]]()
         for name, estimate in calibrate.pair[method].identified.items():
             factor, unit = geometry_unit(estimate.unit)
             values = (estimate.value, estimate.standard_error, estimate.by_tracker)
             rows.append((name, *(None if value is None else value * factor for value in values), unit))
         first, second = calibrate.arms
         title = f"Pair: base of {first} in the base of {second}, with {METHOD_WORDS[method]}"
-        tables.append(Table(title, columns, tuple(rows)))
+        tables.append(table_of_cells(title, rows, "parameter", *numbers, "unit"))
     return tables
 
 
@@ -35,9 +33,8 @@ def calibration_facts(calibrate: CalibrateResult) -> Table:
     """Show figures of the identification and of the network's training, one column for each arm."""
     facts = [_arm_facts(arm) for arm in calibrate.arms.values()]
     every = dict.fromkeys(what for arm in facts for what in arm)
-    rows = tuple((what, *(arm.get(what) for arm in facts)) for what in every)
-    columns = columns_of("", *(f"arm {name}" for name in calibrate.arms))
-    return Table("Identification and network training", columns, rows)
+    rows = ((what, *(arm.get(what) for arm in facts)) for what in every)
+    return table_of_cells("Identification and network training", rows, "", *(f"arm {name}" for name in calibrate.arms))
 
 
 def _arm_facts(arm: ArmCalibrationResult) -> Mapping[str, Cell]:

@@ -8,8 +8,8 @@ from operator import itemgetter
 from typing import Any
 
 from cellapp.commands.calibrate.request import CalibrateRequest
-from cellapp.commands.record import Request, View
-from cellapp.commands.view.table import Cell, Field, Interval, Table, columns_of, table_of, with_rows
+from cellapp.commands.record import View
+from cellapp.commands.view.table import Cell, Field, Interval, Table, table_of, table_of_cells, with_rows
 from cellapp.commands.view.words import METHOD_WORDS, STAGE_WORDS, display_unit
 from cellapp.estimation.calibration.records import (
     ArmCalibrationResult,
@@ -56,11 +56,10 @@ _ROTATION = "orientation [mrad]"
 _PAIR_TITLE = "Pair: held-out cooperative errors [mm]"
 
 
-def view(result: CalibrateResult, request: Request | None = None) -> View:
+def view(result: CalibrateResult, request: CalibrateRequest | None = None) -> View:
     """Show held-out errors, parameters on request, beside them the tracker's own uncertainty, and what comes next."""
-    asked = request if isinstance(request, CalibrateRequest) else None
-    shown = parameters_view(result).parts if asked and asked.parameters else ()
-    onward = [f"next: cellapp discover {shell_word(asked.folder)}"] if asked else []
+    shown = parameters_view(result).parts if request and request.parameters else ()
+    onward = [f"next: cellapp discover {shell_word(request.folder)}"] if request else []
     return View((*calibration_tables(result), *shown, *tracker_sentences(result), *result.notes, *onward))
 
 
@@ -126,14 +125,14 @@ def parameter_tables(result: CalibrateResult) -> list[Table]:
     the parameters that were merged into them; one table for each arm.
     """
     numbers = (("nominal", ".4f"), ("value", ".4f"), ("difference", "+.4f"), ("standard error", ".4f"))
-    columns = columns_of("parameter", *numbers, "unit", ("prior", ".4f"), "largest correlation, or merged into")
+    columns = "parameter", *numbers, "unit", ("prior", ".4f"), "largest correlation, or merged into"
     tables = []
     for name, arm in result.arms.items():
         rows = [(parameter, *_parameter_cells(estimate)) for parameter, estimate in arm.identified.items()]
         merged = [(key, *[None] * 4, "", None, f"merged into {merged_words(its)}") for key, its in arm.merged.items()]
         held = {key: _parameter_cells(_fixed_at(key, value)) for key, value in (arm.fixed or {}).items()}
         fixed = [(key, *cells[:-1], "fixed") for key, cells in held.items()]
-        tables.append(Table(f"Arm {name}: parameters", columns, (*rows, *fixed, *merged)))
+        tables.append(table_of_cells(f"Arm {name}: parameters", (*rows, *fixed, *merged), *columns))
     return tables
 
 
@@ -254,12 +253,12 @@ def prior_sentences(result: CalibrateResult) -> list[str]:
 
 
 def _part_table(name: str, prior: ArmPriorResult) -> Table:
-    columns = columns_of("part", ("values", "d"), ("may have drifted", ".3g"), "unit", "believed")
-    rows = [
+    rows = (
         (part, one.parameters, *_drift(one), "yes" if one.used else "no: the readings contradict it")
         for part, one in prior.parts.items()
-    ]
-    return Table(f"Arm {name}: earlier calibration of {prior.since}", columns, tuple(rows))
+    )
+    columns = "part", ("values", "d"), ("may have drifted", ".3g"), "unit", "believed"
+    return table_of_cells(f"Arm {name}: earlier calibration of {prior.since}", rows, *columns)
 
 
 def _drift(one: PartDrift) -> tuple[Cell, Cell]:

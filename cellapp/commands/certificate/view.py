@@ -14,7 +14,7 @@ from cellapp.commands.certificate_result import (
 )
 from cellapp.commands.record import View
 from cellapp.commands.view.parts import Facts, Section
-from cellapp.commands.view.table import Cell, Field, Table, columns_of, table_of, with_rows
+from cellapp.commands.view.table import Cell, Field, Table, table_of, table_of_cells, with_rows
 from cellapp.commands.view.words import CHARACTERISTIC_WORDS, RULE_WORDS, Verdict, judgement_table, verdict_of
 from cellapp.estimation.iso9283.coverage import not_done
 from cellapp.estimation.iso9283.norm import ISO_COMMANDS
@@ -42,7 +42,7 @@ _UNCERTAINTY = (
     " as stated. Of distances between two positions each contribution counts twice, of distances between two arms those"
     " of both arms. A contribution that is not given leaves the uncertainty unknown."
 )
-_ERROR_COLUMNS = columns_of(
+_ERROR_COLUMNS = (
     "error",
     "from",
     ("as found: mean", ".3f"),
@@ -172,8 +172,8 @@ def errors_tables(result: CertificateResult) -> list[Table]:
     positions += _error_rows("Both arms, distance between them", result.pair.positions)
     rotations += _error_rows("Both arms, rotation of one flange in the other's frame", result.pair.orientations)
     title = "Errors as found (published geometry) and as left (compensated) [mm]"
-    rotated = Table("Errors of orientation as found and as left [mrad]", _ERROR_COLUMNS, tuple(rotations))
-    return [Table(title, _ERROR_COLUMNS, tuple(positions)), *with_rows(rotated)]
+    rotated = table_of_cells("Errors of orientation as found and as left [mrad]", rotations, *_ERROR_COLUMNS)
+    return [table_of_cells(title, positions, *_ERROR_COLUMNS), *with_rows(rotated)]
 
 
 def budget_tables(result: CertificateResult) -> list[Table]:
@@ -190,19 +190,16 @@ def iso_table(tests: CertifiedTests) -> Table:
     """Show the characteristics of ISO 9283 [mm], as found and as left, with a column for each arm."""
     values = {(one.where, one.characteristic, one.commands): one for one in tests.characteristics}
     arms = list(dict.fromkeys(one.where for one in tests.characteristics))
-    rows: list[tuple[Cell, ...]] = [
+    rows = (
         (
             CHARACTERISTIC_WORDS[name],
             *(cell for arm in arms for cell in _iso_cells(*(values.get((arm, name, kind)) for kind in ISO_COMMANDS))),
         )
         for name in dict.fromkeys(one.characteristic for one in tests.characteristics)
-    ]
-    titles = ("as found", "as left", "U (k = 2)", "cycles")
-    columns = columns_of(
-        "characteristic",
-        *((f"{arm}: {title}", "d" if title == "cycles" else ".3f") for arm in arms for title in titles),
     )
-    return Table("Tests by ISO 9283 [mm]", columns, tuple(rows))
+    titles = ("as found", "as left", "U (k = 2)", "cycles")
+    numbers = ((f"{arm}: {title}", "d" if title == "cycles" else ".3f") for arm in arms for title in titles)
+    return table_of_cells("Tests by ISO 9283 [mm]", rows, "characteristic", *numbers)
 
 
 def iso_sentence(tests: CertifiedTests) -> str:
@@ -254,8 +251,7 @@ def _budget(title: str, lines: Sequence[tuple[UncertaintyContribution | AngleCon
     rows.append(("combined, u", *map(_or_unknown, together), "", "root of the sum of squares"))
     expanded = (None if value is None else COVERAGE * value for value in together)
     rows.append(("expanded, U", *map(_or_unknown, expanded), "", f"k = {COVERAGE:g}, about 95 %"))
-    columns = columns_of("contribution", *((f"arm {arm}", ".4f") for arm in arms), "type", "basis")
-    return Table(title, columns, tuple(rows))
+    return table_of_cells(title, rows, "contribution", *((f"arm {arm}", ".4f") for arm in arms), "type", "basis")
 
 
 def _iso_cells(found: CertifiedCharacteristic | None, left: CertifiedCharacteristic | None) -> tuple[Cell, ...]:

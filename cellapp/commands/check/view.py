@@ -8,7 +8,7 @@ from collections.abc import Callable
 from cellapp.commands.check.request import CheckRequest
 from cellapp.commands.record import View
 from cellapp.commands.view.parts import Part
-from cellapp.commands.view.table import Cell, Table, columns_of, table_of, with_rows, without_empty
+from cellapp.commands.view.table import Table, table_of, table_of_cells, with_rows, without_empty
 from cellapp.estimation.monitoring.records import TRACKER, CheckedStop, CheckResult, FoundChange, LocateResult
 from cellapp.ground.counting import counted
 
@@ -45,13 +45,12 @@ def location_view(result: LocateResult) -> View:
 
 def location_tables(result: LocateResult) -> list[Table]:
     """Show every measured point with its residual."""
-    rows: list[tuple[Cell, ...]] = [
+    rows = (
         (point.arm, point.found_off_mm, *point.residual_mm, math.hypot(*point.residual_mm)) for point in result.points
-    ]
-    columns = columns_of(
-        "arm", ("found off", ".1f"), *((f"residual {axis}", ".3f") for axis in "xyz"), ("residual", ".3f")
     )
-    return [Table("Station of the tracker: measured points [mm]", columns, tuple(rows))]
+    residuals = *((f"residual {axis}", ".3f") for axis in "xyz"), ("residual", ".3f")
+    title = "Station of the tracker: measured points [mm]"
+    return [table_of_cells(title, rows, "arm", ("found off", ".1f"), *residuals)]
 
 
 def location_sentences(result: LocateResult) -> list[str]:

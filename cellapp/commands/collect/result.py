@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from pydantic import Field
 
@@ -80,5 +80,10 @@ class CollectionResult(Result, schema="cellapp-collection"):
 
     @property
     def last(self) -> Session | None:
-        """Last session that collected remaining stops (none measured again); None if there is none."""
-        return next((one for one in reversed(self.sessions) if not one.again), None)
+        """``last_session`` of them."""
+        return last_session(self.sessions)
+
+
+def last_session(sessions: Sequence[Session]) -> Session | None:
+    """Return the last session that collected remaining stops (none measured again); None if there is none."""
+    return next((one for one in reversed(sessions) if not one.again), None)

@@ -16,7 +16,7 @@ from cellapp.commands.collect.result import CollectedStop, CollectionResult
 from cellapp.commands.record import Request, View
 from cellapp.commands.view.charts import Chart
 from cellapp.commands.view.parts import Section, section_of
-from cellapp.commands.view.table import Cell, Table, columns_of, part_title, table_of, with_rows
+from cellapp.commands.view.table import Table, part_title, table_of, table_of_cells, with_rows
 from cellapp.commands.view.words import ranges
 from cellapp.ground.counting import counted, mm
 from cellapp.ground.grouping import grouped
@@ -177,9 +177,9 @@ def _requests(state: CollectionResult) -> Table:
 
 
 def _missing(state: CollectionResult) -> Table:
-    columns = columns_of("stop", "arm", "what", "reason")
     share = f"{state.missing_share:.1%} of the planned ones, tolerated {state.tolerated_share:.1%}"
-    return Table(f"Missing readings: {len(state.missing)} ({share})", columns, tuple(_grouped(state.missing)))
+    title = f"Missing readings: {len(state.missing)} ({share})"
+    return table_of_cells(title, _grouped(state.missing), "stop", "arm", "what", "reason")
 
 
 def _replaced(state: CollectionResult) -> Table:
@@ -201,17 +201,14 @@ def _drift(state: CollectionResult) -> Table:
     by_stop: dict[int, dict[str, float]] = {}
     for row in state.references:
         by_stop.setdefault(row.stops_done, {})[row.name] = row.drift_mm
-    columns = columns_of(("stops done", "d"), *((name, ".4f") for name in names))
-    rows: list[tuple[Cell, ...]] = [
-        (stops, *(drift.get(name) for name in names)) for stops, drift in sorted(by_stop.items())
-    ]
+    rows = ((stops, *map(drift.get, names)) for stops, drift in sorted(by_stop.items()))
     title = f"Reference measurements: distance from the first one [mm], limit {state.drift_limit_mm:.3f} mm"
-    return Table(title, columns, tuple(rows))
+    return table_of_cells(title, rows, ("stops done", "d"), *((name, ".4f") for name in names))
 
 
 def _standard_errors(state: CollectionResult) -> Table:
-    columns = columns_of("arm", ("standard error", ".4f", "mm"))
-    return Table("Standard error of a predicted SMR position", columns, tuple(state.standard_error_mm.items()))
+    title, errors_mm = "Standard error of a predicted SMR position", state.standard_error_mm.items()
+    return table_of_cells(title, errors_mm, "arm", ("standard error", ".4f", "mm"))
 
 
 def _time(written: str | None) -> str:

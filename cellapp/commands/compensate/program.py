@@ -31,7 +31,7 @@ from cellapp.commands.compensate.request import CompensateRequest, program_kind
 from cellapp.commands.record import View, six_numbers
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of, notes_on, require_own_factory, stage_in_force
-from cellapp.commands.view.table import Cell, Table, columns_of, with_rows
+from cellapp.commands.view.table import Cell, Table, table_of_cells, with_rows
 from cellapp.ground.errors import InputError
 from cellapp.ground.file_text import readable
 from cellapp.ground.outputs import CORRECTED, NEW_ONLY, Outputs, require_suffix, write_new_bytes
@@ -173,11 +173,9 @@ def correct_table(result: CorrectResult) -> Table:
 
     Below the motion stands the configuration nearest to its solution.
     """
-    columns = columns_of(
-        "line", "motion", "target (m, rad)", ("moves", ".3f", "mm"), ("turns", ".3f", "mrad"), ("sigma", ".3f", "mm")
-    )
-    rows = tuple(row for target in result.targets for row in _rows(target))
-    return Table(f"Targets of {result.program}", columns, rows)
+    rows = (row for target in result.targets for row in _rows(target))
+    sizes = ("moves", ".3f", "mm"), ("turns", ".3f", "mrad"), ("sigma", ".3f", "mm")
+    return table_of_cells(f"Targets of {result.program}", rows, "line", "motion", "target (m, rad)", *sizes)
 
 
 def _rows(target: CorrectedTarget) -> list[tuple[Cell, ...]]:

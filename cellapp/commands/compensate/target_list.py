@@ -10,10 +10,10 @@ from cellapp.cell.targets.records import MeasuredPair, MeasuredTarget, TargetCom
 from cellapp.cell.targets.targets import Target, definition
 from cellapp.commands.compensate.words import Measured, arms_words, shown_tolerance
 from cellapp.commands.run_results import RunResults
-from cellapp.commands.view.table import Cell, Table, columns_of
+from cellapp.commands.view.table import Cell, Table, table_of_cells
 from cellapp.ground.grouping import grouped
 
-_COLUMNS = columns_of(
+_COLUMNS: tuple[str | tuple[str, ...], ...] = (
     *("target", "arm", ("tol.", "g", "mm"), "state", "error [mm]", "frame"),
     *(("95 %", ".3f", "mm"), ("uncertainty", ".4f", "mm"), ("rounds", "d")),
     *((axis, ".1f", "mm") for axis in ("x", "y", "z")),
@@ -125,7 +125,7 @@ def _states(targets: Sequence[tuple[str, str]], results: RunResults) -> list[Tar
 
 def target_list(targets: Sequence[Target], results: RunResults | None) -> Table:
     """Show each target with its state."""
-    return Table("Targets", _COLUMNS, tuple(map(_row, targets, target_states(targets, results))))
+    return table_of_cells("Targets", map(_row, targets, target_states(targets, results)), *_COLUMNS)
 
 
 def target_words(target: Target, results: RunResults | None) -> str:

@@ -13,7 +13,7 @@ from cellapp.cell.run.recordings import known_readings, read_recordings_of
 from cellapp.commands.calibrate.prior_source import basis_of_priors, earlier_of_calibration
 from cellapp.commands.discover.request import DiscoverRequest
 from cellapp.commands.record import Work
-from cellapp.commands.stages import basis_of, read_stages
+from cellapp.commands.stages import basis_of, not_calibrated, read_stages
 from cellapp.commands.stored_model import append_with_model, export_model, model_of
 from cellapp.estimation.calibration.calibrate import provenance_of
 from cellapp.estimation.discovery.discover import ArmSearch, discover_arm, discover_cell
@@ -119,7 +119,7 @@ def discover_effects(
 def _discover(run: RunFile, job: JobToken) -> tuple[DiscoverResult, CellDiscovery]:
     calibrated = read_stages(run).current.get(CALIBRATE)
     if calibrated is None:
-        raise InputError(f"{run.path}: not calibrated yet; run 'cellapp calibrate {shell_word(run.folder)}' first")
+        raise not_calibrated(run.path, run.folder)
     with one_blas_thread():
         earlier = earlier_of_calibration(run)
     names = [*run.profile.arms]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from operator import itemgetter
 
-from cellapp.commands.view.table import Cell, Interval, Table, columns_of, table_of, with_rows, without_empty
+from cellapp.commands.view.table import Cell, Interval, Table, table_of, table_of_cells, with_rows, without_empty
 from cellapp.commands.view.words import interval_95, law_words, place_words, probability_words, short_reason
 from cellapp.estimation.discovery.records import AcceptedEffect, ArmDiscoveryResult, CycleBand
 from cellapp.ground.results import Estimate
@@ -51,14 +51,14 @@ def noise_floor_words(arm: ArmDiscoveryResult) -> str:
 def _motion_table(name: str, arm: ArmDiscoveryResult) -> Table:
     """Show effects in recordings of motion beside the accepted ones."""
     accepted = {one.effect for one in arm.accepted}
-    rows: list[tuple[Cell, ...]] = [
+    rows = (
         (found.effect, parameter, *interval_95(estimate))
         for found in (() if arm.motion is None else arm.motion.effects)
         if found.effect not in accepted
         for parameter, estimate in found.parameters.items()
-    ]
-    columns = columns_of("effect", *_SIZE_COLUMNS[1:5])
-    return without_empty(Table(f"Arm {name}: what its recordings of motion show besides", columns, tuple(rows)))
+    )
+    title = f"Arm {name}: what its recordings of motion show besides"
+    return without_empty(table_of_cells(title, rows, "effect", *_SIZE_COLUMNS[1:5]))
 
 
 def numbered_steps_table(name: str, arm: ArmDiscoveryResult) -> Table:
@@ -109,7 +109,7 @@ def size_tables(name: str, arm: ArmDiscoveryResult) -> list[Table]:
     for one in sorted(arm.accepted, key=lambda one: one.movements[0].moves_mm if one.movements else 0.0, reverse=True):
         order = "the largest first" if one.movements is None else "what moves the SMR most first"
         title = f"Arm {name}: size of {one.effect}, {order}"
-        tables.append(without_empty(Table(title, columns_of(*_SIZE_COLUMNS), tuple(_size_rows(one)))))
+        tables.append(without_empty(table_of_cells(title, _size_rows(one), *_SIZE_COLUMNS)))
     return with_rows(*tables, _motion_table(name, arm))
 
 

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import re
+import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 from itertools import chain
+from typing import TYPE_CHECKING
 
 from cellapp.commands.docs.keys import filled_keys
 from cellapp.ground.counting import did_you_mean
 from cellapp.ground.errors import InputError
+
+if TYPE_CHECKING:
+    from cellapp.robot.effects import Effect
 
 PARTS: Mapping[str, tuple[str, ...]] = {
     "begin here": ("tutorial", "readings", "cell", "instruments", "faults", "glossary"),
@@ -37,6 +42,11 @@ _SECTION = re.compile(r"^## (\w+)$", re.MULTILINE)
 _MARKER = re.compile(r"<!--.*?-->\n")
 _FOR_TESTS = re.compile(r"^([ ]*```\w+) .*$", re.MULTILINE)
 """Words after the language on the first line of an example: they tell the tests how to run it."""
+
+
+WIDTH = 120
+"""Line width of the Markdown files."""
+_GENERAL_PLACE = {"link_bending": "the link", "unknown": "a part of the cell"}
 
 
 def topics() -> list[str]:
@@ -68,8 +78,7 @@ def chapter_text(chapter: str) -> str:
 
 def effect_sections() -> dict[str, str]:
     """Return each effect's section by slug: from the chapter on effects, or a plug-in effect's declaration."""
-    from cellapp.commands.docs.effect_parts import declared_part  # late: chapters do not need it
-    from cellapp.robot.effects import EFFECTS
+    from cellapp.robot.effects import EFFECTS  # late: chapters do not need it
 
     text = chapter_text("effects")
     found = list(_SECTION.finditer(text))
@@ -77,6 +86,23 @@ def effect_sections() -> dict[str, str]:
     sections = {match[1]: text[match.start() : end] for match, end in zip(found, ends, strict=True)}
     added = (one for slug, one in EFFECTS.items() if slug not in sections)
     return sections | {one.slug: f"## {one.slug}\n\n*{one.title}.*\n\n{declared_part(one)}" for one in added}
+
+
+def declared_part(effect: Effect) -> str:
+    """Return an effect's declaration as Markdown, between markers: cause, usual size, checks, further stops."""
+    meaning = effect.meaning.at(_GENERAL_PLACE.get(effect.slug, "the joint"))
+    known = "" if meaning.size_source == "none" else f" ({meaning.size_source})"
+    parts = [
+        _wrapped(f"**Cause.** {meaning.cause}"),
+        _wrapped(f"**Usual size**{known}. {meaning.size}."),
+        _wrapped(f"**Check or mend.** {' '.join(meaning.check)}"),
+        *([_wrapped(f"**What settles it.** {' '.join(meaning.settle)}")] if meaning.settle else []),
+    ]
+    return f"<!--declared:{effect.slug}-->\n" + "\n\n".join(parts) + "\n<!--end-->\n"
+
+
+def _wrapped(text: str) -> str:
+    return textwrap.fill(text, WIDTH, break_long_words=False, break_on_hyphens=False)
 
 
 def anchor_of(heading: str) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 
 @dataclass(frozen=True)
@@ -52,11 +53,14 @@ KEYS: Mapping[str, Key] = {
 }
 SHOWN: Mapping[str, str] = {meaning: key.shown for meaning, key in KEYS.items()}
 """Meaning -> display name of its key, for ``str.format_map``."""
-_STEPS = ("cell", "plan", "collect", "calibrate", "discover", "targets", "accept")
+Step = Literal["cell", "plan", "collect", "calibrate", "discover", "targets", "accept"]
+STEPS: tuple[Step, ...] = get_args(Step)
+"""Screens, in the order of the day."""
 _PLACE = re.compile(r"\{key:([a-z]+)\}")
 
 
 def filled_keys(text: str) -> str:
     """Replace each ``{key:MEANING}`` in Markdown by its key; a screen has its number."""
-    shown = {**{step: str(number) for number, step in enumerate(_STEPS, start=1)}, **SHOWN}
+    numbers: dict[str, str] = {step: str(number) for number, step in enumerate(STEPS, start=1)}
+    shown = {**numbers, **SHOWN}
     return _PLACE.sub(lambda found: f"**{shown[found[1]]}**", text)

@@ -10,7 +10,7 @@ from cellapp.cell.profile import load_profile
 from cellapp.commands.doctor.request import DoctorRequest
 from cellapp.commands.doctor.result import DoctorResult
 from cellapp.commands.record import View
-from cellapp.commands.view.table import Cell, Table, columns_of
+from cellapp.commands.view.table import Cell, Table, table_of_cells
 from cellapp.ground.counting import counted
 from cellapp.ground.profile import Arm, Pose, Profile
 from cellapp.ground.profile.sections import (
@@ -23,29 +23,29 @@ from cellapp.ground.profile.sections import (
 )
 from cellapp.robot.kinematics.chain import ROW_NAMES
 
-_COLUMNS = columns_of("what", "in the profile")
+_COLUMNS = "what", "in the profile"
 _NO_DEVICE = "no device: readings come from a file"
 
 
 def profile_tables(profile: Profile) -> list[Table]:
     """Show the cell and the constraints of its plan, one quantity per row."""
     return [
-        Table(f"Cell {profile.name}", _COLUMNS, tuple(cell_words(profile))),
-        Table("Plan", _COLUMNS, tuple(constraint_words(profile))),
+        table_of_cells(f"Cell {profile.name}", cell_words(profile), *_COLUMNS),
+        table_of_cells("Plan", constraint_words(profile), *_COLUMNS),
     ]
 
 
 def cell_words(profile: Profile) -> list[tuple[str, str]]:
     """Return arms, tracker, air sensor and everything else in the profile, each as name and words."""
-    words = [row for name, arm in profile.arms.items() for row in _arm_words(name, arm)]
-    tracker = profile.tracker
-    words.append(("tracker", _device(tracker.driver.kind, tracker.driver.has_device)))
-    words.append(("tracker pose", _pose(tracker.pose)))
-    air = profile.sensors.air
-    words.append(("air sensor", "none: the tracker's own" if air is None else _device(air.kind, True)))
-    words += [(f"obstacle {name}", _obstacle(obstacle)) for name, obstacle in profile.obstacles.items()]
-    words.append(("targets", profile.targets or "none"))
-    return words
+    tracker, air = profile.tracker, profile.sensors.air
+    return [
+        *(row for name, arm in profile.arms.items() for row in _arm_words(name, arm)),
+        ("tracker", _device(tracker.driver.kind, tracker.driver.has_device)),
+        ("tracker pose", _pose(tracker.pose)),
+        ("air sensor", "none: the tracker's own" if air is None else _device(air.kind, True)),
+        *((f"obstacle {name}", _obstacle(obstacle)) for name, obstacle in profile.obstacles.items()),
+        ("targets", profile.targets or "none"),
+    ]
 
 
 def _obstacle(obstacle: AnyObstacle) -> str:
@@ -97,8 +97,7 @@ def constraint_words(profile: Profile) -> list[tuple[str, str]]:
         ("measuring", f"{tracker.averaging:g} s a point{_repeats(profile)}"),
     ]
     for name, arm in profile.arms.items():
-        limits = arm.joint_limits
-        words.append((f"joints {name}", _ranges(limits)))
+        words.append((f"joints {name}", _ranges(arm.joint_limits)))
         words.append((f"incidence {name}", f"beam within {math.degrees(arm.smr.acceptance):.0f} deg of the SMR's axis"))
     if plan.ranges is not None:
         words.append(("ranges", f"{_ranges(plan.ranges)}, for all arms"))
@@ -169,9 +168,7 @@ def view(result: DoctorResult, request: DoctorRequest | None = None) -> View:
 
 def _controller_table(name: str, its: ControllerCalibration) -> Table:
     """Show what the factory calibration changes at each joint of an arm."""
-    columns = columns_of("joint", *((f"{key} [{unit}]", "+.3f") for key, unit in zip(ROW_NAMES, _UNITS, strict=True)))
-    rows: list[tuple[Cell, ...]] = [
-        (str(i), *(1e3 * value for value in row)) for i, row in enumerate(its.near, start=1)
-    ]
+    values = ((f"{key} [{unit}]", "+.3f") for key, unit in zip(ROW_NAMES, _UNITS, strict=True))
+    rows: list[tuple[Cell, ...]] = [(str(i), *(1e3 * x for x in row)) for i, row in enumerate(its.near, start=1)]
     title = f"Arm {name}: the controller's own calibration ({its.checksum}), less the published rows"
-    return Table(title, columns, tuple(rows))
+    return table_of_cells(title, rows, "joint", *values)

@@ -13,7 +13,7 @@ from cellapp.commands.init.request import InitRequest
 from cellapp.commands.record import Request, View, Work
 from cellapp.commands.run.request import VERB as RUN
 from cellapp.commands.run.request import RunRequest
-from cellapp.commands.run.result import WholeRunResult
+from cellapp.commands.run_results import WholeRunResult
 from cellapp.ground.shell import shell_word
 from cellapp.ground.starters import TWIN
 

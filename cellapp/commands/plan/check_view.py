@@ -21,7 +21,7 @@ from cellapp.cell.planning.records import (
 )
 from cellapp.commands.plan.result import PlannedLoad, PlanResult, StopsResult, SweepCount
 from cellapp.commands.view.charts import enumerated
-from cellapp.commands.view.table import Cell, Table, columns_of, table_of
+from cellapp.commands.view.table import Cell, Table, table_of, table_of_cells
 from cellapp.commands.view.words import geometry_unit, short_reason
 from cellapp.estimation.discovery.records import PlannedEffect
 from cellapp.ground.counting import counted
@@ -132,7 +132,6 @@ def coverage_table(name: str, arm: ArmForecast) -> Table:
 def accuracy_table(name: str, arm: ArmForecast) -> Table:
     """Show expected standard errors of predicted positions and of parameters, one column for each scatter."""
     headings = ["tracker alone" if one.scatter_mm == 0.0 else f"{one.scatter_mm:g} mm scatter" for one in arm.accuracy]
-    columns = columns_of("standard error of", *((title, ".4f") for title in headings), "unit")
     rows: list[tuple[Cell, ...]] = [
         ("predicted position, rms", *(one.standard_error_mm for one in arm.accuracy), "mm"),
         ("predicted position, largest", *(one.largest_mm for one in arm.accuracy), "mm"),
@@ -145,7 +144,8 @@ def accuracy_table(name: str, arm: ArmForecast) -> Table:
             None if entry is None or entry.standard_error is None else factor * entry.standard_error for entry in found
         ]
         rows.append((parameter, *errors, shown))
-    return Table(f"Arm {name}: expected standard errors", columns, tuple(rows))
+    scatters = ((title, ".4f") for title in headings)
+    return table_of_cells(f"Arm {name}: expected standard errors", rows, "standard error of", *scatters, "unit")
 
 
 def effects_table(name: str, arm: ArmForecast) -> Table:
@@ -230,40 +230,36 @@ def candidates_table(design: PlanDesignResult) -> Table:
     """Show how many configurations were sampled for each arm, why some were rejected, and how many are left."""
     found = (reason for arm in design.arms.values() for reason, count in arm.rejected.items() if count)
     reasons = list(dict.fromkeys(found))
-    columns = columns_of("configurations", *((f"arm {name}", "d") for name in design.arms))
     arms = design.arms.values()
     rows: list[tuple[Cell, ...]] = [
         ("sampled", *(arm.drawn for arm in arms)),
         *((f"excluded by {reason}", *(arm.rejected.get(reason) for arm in arms)) for reason in reasons),
         ("candidates", *(arm.candidates for arm in arms)),
     ]
-    return Table("Candidates", columns, tuple(rows))
+    return table_of_cells("Candidates", rows, "configurations", *((f"arm {name}", "d") for name in design.arms))
 
 
 def quality_table(design: PlanDesignResult) -> Table:
     """Show expected errors of the designed and of random stops; how many random stops do as well."""
-    columns = columns_of(
-        "arm", "plan", ("stops", "d"), ("parameters", ".3f"), ("mean", ".4f", "mm"), ("worst", ".4f", "mm")
-    )
-    rows: list[tuple[Cell, ...]] = []
+    rows = list[tuple[Cell, ...]]()
     for name, arm in design.arms.items():
         for word, one in (("designed", arm.designed), ("random", arm.random)):
             rows.append((name, word, one.stops, one.parameters, one.mean_mm, one.worst_mm))
         equal = arm.equal_to_random
         counts = (equal.get("parameters"), equal.get("mean"), equal.get("worst"))
         rows.append((name, "equal to random", None, *(_stops(count) for count in counts)))
-    return Table("Expected errors against random stops", columns, tuple(rows))
+    numbers = ("stops", "d"), ("parameters", ".3f"), ("mean", ".4f", "mm"), ("worst", ".4f", "mm")
+    return table_of_cells("Expected errors against random stops", rows, "arm", "plan", *numbers)
 
 
 def indices_table(design: PlanDesignResult) -> Table:
     """Show observability indices of the designed stops and of random ones."""
-    columns = columns_of("arm", "plan", *((f"O{index}", ".3g") for index in range(1, 6)))
-    rows: list[tuple[Cell, ...]] = [
+    rows = (
         (name, word, *_indices(index))
         for name, arm in design.arms.items()
         for word, index in (("designed", arm.designed.indices), ("random", arm.random.indices))
-    ]
-    return Table("Observability", columns, tuple(rows))
+    )
+    return table_of_cells("Observability", rows, "arm", "plan", *((f"O{index}", ".3g") for index in range(1, 6)))
 
 
 def _indices(index: ObservabilityIndices) -> tuple[float | None, ...]:

@@ -18,7 +18,7 @@ from cellapp.commands.plan.result import PlanResult, StopsResult
 from cellapp.commands.plan.run import planned_stops
 from cellapp.commands.record import Request, View
 from cellapp.commands.view.parts import Section
-from cellapp.commands.view.table import Table, columns_of
+from cellapp.commands.view.table import Table, table_of_cells
 
 _DEG = ".2f"
 """Number format of joint angles in degrees."""
@@ -45,12 +45,12 @@ def plan_tables(stops: StopsResult) -> list[Table]:
     tables = []
     for name in stops.stops[0].q if stops.stops else ():
         joints = len(stops.stops[0].q[name])
-        columns = columns_of(("stop", "d"), "measured", *((f"q{joint}", _DEG, "deg") for joint in range(1, joints + 1)))
-        rows = tuple(
+        rows = (
             (stop.configuration + 1, "yes" if stop.measured else "no", *map(math.degrees, stop.q[name]))
             for stop in stops.stops
         )
-        tables.append(Table(f"Arm {name}: planned stops", columns, rows))
+        angles = ((f"q{joint}", _DEG, "deg") for joint in range(1, joints + 1))
+        tables.append(table_of_cells(f"Arm {name}: planned stops", rows, ("stop", "d"), "measured", *angles))
     return tables
 
 

@@ -19,7 +19,7 @@ from cellapp.commands.compensate.tables import all_measured_tables, verification
 from cellapp.commands.compensate.words import push_lines, verify_lines
 from cellapp.commands.confirm import confirmation
 from cellapp.commands.push.request import PushRequest
-from cellapp.commands.record import Request, View, Work
+from cellapp.commands.record import View, Work
 from cellapp.commands.run_results import evidence_of, read_results
 from cellapp.commands.stages import append_stage, basis_on_model, read_stages
 from cellapp.commands.stored_model import model_of, require_current_model, require_own_factory, stage_in_force
@@ -126,7 +126,7 @@ def _repeatability_m(run: RunFile) -> dict[str, float]:
 _HELD = "the verification held"
 
 
-def view(result: VerifyResult, request: Request | None = None) -> View:
+def view(result: VerifyResult, request: PushRequest | None = None) -> View:
     """Show what was reached and measured; of a stored verification every target, with charts.
 
     Only a push that measures can fail.
@@ -134,6 +134,5 @@ def view(result: VerifyResult, request: Request | None = None) -> View:
     if request is None:
         charts = target_charts(result, dict.fromkeys(result.arms))
         return View((*all_measured_tables(result), *verify_lines(result), *charts), result.complaints(), held=_HELD)
-    verified = isinstance(request, PushRequest) and request.verify
     parts: tuple[Part, ...] = (*verification_tables(result), *push_lines(result))
-    return View(parts, result.complaints(), held=_HELD) if verified else View(parts)
+    return View(parts, result.complaints(), held=_HELD) if request.verify else View(parts)

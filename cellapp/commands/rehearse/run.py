@@ -12,9 +12,9 @@ from cellapp.cell.driving.requests import running_job
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.file import note_profile
-from cellapp.commands.confirm import Ask, first_path_words, require_permission
+from cellapp.commands.confirm import first_path_words, require_permission
 from cellapp.commands.plan.run import new_planned_run
-from cellapp.commands.record import Work
+from cellapp.commands.record import Ask, Work
 from cellapp.commands.rehearse.request import RehearseRequest
 from cellapp.commands.rehearse.result import missing_rungs, read_log, write_log
 from cellapp.ground.errors import InputError

@@ -7,7 +7,7 @@ from cellapp.cell.driving.rehearsal_rungs import RUNGS
 from cellapp.commands.record import Request, View
 from cellapp.commands.rehearse.result import RehearsalLog
 from cellapp.commands.view.parts import Section
-from cellapp.commands.view.table import Cell, Table, columns_of
+from cellapp.commands.view.table import Cell, table_of_cells
 from cellapp.ground.counting import counted
 
 _SLOW = 1.5
@@ -16,9 +16,8 @@ _SLOW = 1.5
 
 def view(result: RehearseResult, request: Request | None = None) -> View:
     """Show times and deviations of each arm, refusals, slow motions, and the next rung."""
-    columns = columns_of("arm", ("mean off [mrad]", ".4f"), ("most off [mrad]", ".4f"))
     offs = {arm: [one.off_mrad[arm] for one in result.motions if arm in one.off_mrad] for arm in result.arms}
-    rows: list[tuple[Cell, ...]] = [(arm, sum(off) / len(off), max(off)) for arm, off in offs.items() if off]
+    rows = ((arm, sum(off) / len(off), max(off)) for arm, off in offs.items() if off)
     took, expected = (sum(getattr(one, key) for one in result.motions) for key in ("seconds", "expected_s"))
     lines = [
         f"rung '{result.rung}': {RUNGS[result.rung].words}; arms {', '.join(result.arms)}",
@@ -35,17 +34,16 @@ def view(result: RehearseResult, request: Request | None = None) -> View:
         *result.notes,
         f"missing: {', '.join(result.missing)}" if result.missing else "all rungs are passed",
     ]
-    table = Table("Commanded and reached joint positions", columns, tuple(rows))
+    offsets = ("mean off [mrad]", ".4f"), ("most off [mrad]", ".4f")
+    table = table_of_cells("Commanded and reached joint positions", rows, "arm", *offsets)
     failed = () if result.passed else (result.ended or "no stop was reached",)
     return View((table, *lines), failed)
 
 
 def log_section(log: RehearsalLog) -> Section:
     """Show the record of each rung from when the run was collected, for the report."""
-    columns = columns_of(
-        "rung", "when", "arms", ("stops", "d"), ("refused", "d"), ("most off [mrad]", ".4f"), "outcome"
-    )
-    rows: list[tuple[Cell, ...]] = []
+    numbers = ("stops", "d"), ("refused", "d"), ("most off [mrad]", ".4f")
+    rows = list[tuple[Cell, ...]]()
     for name in RUNGS:
         if (one := log.rungs.get(name)) is None:
             rows.append((name, "", "", None, None, None, "not driven"))
@@ -55,7 +53,7 @@ def log_section(log: RehearsalLog) -> Section:
         rows.append((name, one.when, ", ".join(one.arms), len(one.visited), len(one.refused), off, outcome))
     passed = sum(one.passed for one in log.rungs.values())
     return Section(
-        [Table("Rungs of the rehearsal", columns, tuple(rows))],
+        [table_of_cells("Rungs of the rehearsal", rows, "rung", "when", "arms", *numbers, "outcome")],
         message=f"{passed} of {counted(len(RUNGS), 'rung')} passed before the readings were taken.",
         about="What rehearse recorded of these arms before the plan was collected: the controllers in simulation"
         " mode first, then real arms at 5 % speed.",

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.sqlite_file import REPORT_FILE
-from cellapp.commands.record import Request, View, Work
+from cellapp.commands.record import View, Work
 from cellapp.commands.report.request import ReportRequest
 from cellapp.commands.run_results import ReportResult, read_results, shown_by
 from cellapp.commands.stages import complaints_in
@@ -20,8 +20,8 @@ def run(request: ReportRequest, work: Work) -> ReportResult:
         return shown_by(ReportResult, read_results(opened), page=str(work.write_page(opened)))
 
 
-def view(result: ReportResult, request: Request | None = None) -> View:
+def view(result: ReportResult, request: ReportRequest | None = None) -> View:
     """Say what is out of date, and where the page with all results was written."""
-    strict = isinstance(request, ReportRequest) and request.strict
+    strict = request is not None and request.strict
     outdated = (f"out of date: {name}: {reason}" for name, reason in result.out_of_date.items())
     return View((*outdated, f"written: {result.page}"), complaints_in(Path(result.run)) if strict else ())

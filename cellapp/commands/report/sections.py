@@ -35,7 +35,7 @@ from cellapp.commands.stored_model import values_in_force
 from cellapp.commands.trials.detectability import detectability_parts, stored_detectability
 from cellapp.commands.view.charts import Chart, enumerated
 from cellapp.commands.view.parts import Facts, Section, section_of
-from cellapp.commands.view.table import Cell, Table, columns_of
+from cellapp.commands.view.table import Cell, table_of_cells
 from cellapp.commands.view.words import RULE_WORDS, judged_sentence, judgement_table
 from cellapp.estimation.calibration.identification import start_from_nominal
 from cellapp.estimation.calibration.quantities import measured_minus_computed, position_errors
@@ -130,9 +130,9 @@ def controllers_section(run: RunFile, data: ReportData) -> Section | None:
         said.append(f"arm {name}: " + ", ".join(f"{whose} {off.mean():.3f} mm" for whose, off in errors.items()))
     if not rows:
         return None
-    columns = columns_of("arm", "rows", *((f"{what} [mm]", ".4f") for what in ("mean", "rms", "max")))
+    errors_mm = ((f"{what} [mm]", ".4f") for what in ("mean", "rms", "max"))
     return Section(
-        [Table("Errors at the SMR by whose rows", columns, tuple(rows))],
+        [table_of_cells("Errors at the SMR by whose rows", rows, "arm", "rows", *errors_mm)],
         message=f"Mean error of the SMR by whose D-H rows: {'; '.join(said)}.",
         about=_ABOUT,
     )
@@ -183,12 +183,11 @@ def detectability_section(run: RunFile) -> Section | None:
     result = stored_detectability(run)
     if result is None:
         return None
-    sentence, *parts = detectability_parts(result)
     about = (
         "Effects were hidden in simulated arms of this cell at the planned stops, at sizes that the trials before"
         " suggested, and searched as 'discover' does. Their laws are not those of the library."
     )
-    return Section(parts, message=str(sentence), about=about)
+    return section_of(detectability_parts(result), about=about)
 
 
 # -- accuracy ---------------------------------------------------------------------------------------------------------

@@ -89,28 +89,6 @@ class Found:
     anchor: str
 
 
-@dataclass(frozen=True)
-class Summary:
-    """The first screen; ``figure`` is None if no error before and after is known."""
-
-    verdict: Verdict
-    judged: JudgedMatrix
-    figure: BeforeAfterFigure | None
-    found: tuple[Found, ...]
-    steps: tuple[Step, ...]
-
-
-def summary(data: ReportData, judgements: Sequence[Judgement], today: date) -> Summary:
-    """Build the first screen of a run with the judgements on its results; instruments are due as of ``today``."""
-    return Summary(
-        verdict=verdict(data, judgements),
-        judged=judged_matrix(judgements, list(data.profile.arms)),
-        figure=before_after_figure(data),
-        found=tuple(_found(data)),
-        steps=tuple(_steps(data, judgements, today)),
-    )
-
-
 def verdict(data: ReportData, judgements: Sequence[Judgement]) -> Verdict:
     """Summarize all judgements in a title and a sentence, or say how to give tolerances."""
     if CALIBRATE in data.results.out_of_date:
@@ -148,7 +126,7 @@ def nothing_found(data: ReportData) -> str:
     return "Missing effects were not searched for yet."
 
 
-def _found(data: ReportData) -> Iterator[Found]:
+def findings(data: ReportData) -> Iterator[Found]:
     for number, (name, arm) in enumerate(({} if data.discover is None else data.discover.arms).items(), start=1):
         anchor = f"discovery-{number}"
         for effect in arm.accepted:
@@ -167,7 +145,7 @@ def _effect_words(effect: AcceptedEffect) -> str:
 # -- what to do next --------------------------------------------------------------------------------------------------
 
 
-def _steps(data: ReportData, judgements: Sequence[Judgement], today: date) -> Iterator[Step]:
+def steps(data: ReportData, judgements: Sequence[Judgement], today: date) -> Iterator[Step]:
     missing = [] if data.next_step is None else [data.next_step]
     yield from missing
     here = data.results.model_copy(update={"run": str(HERE)})  # the page is the same wherever it lies
@@ -208,12 +186,12 @@ def read_verdict(run: RunFile, today: date) -> tuple[Verdict, Parts]:
     except InputError:  # not calibrated yet
         judgements = judge_run(run.profile, read_results(run))
         words = "Collect and calibrate first; tests by ISO 9283 with nominal commands need no calibration."
-        found, steps = Verdict(overall(judgements), "Not calibrated yet", words), list[Step]()
+        found, later = Verdict(overall(judgements), "Not calibrated yet", words), list[Step]()
     else:
         judgements = data.judgements
-        found, steps = verdict(data, judgements), list(_steps(data, judgements, today))
+        found, later = verdict(data, judgements), list(steps(data, judgements, today))
     rules = dict.fromkeys(RULE_WORDS[one.rule] for one in judgements)
-    next_steps = (f"next: {f'{step.text} {step.command}'.strip()}" for step in steps)
+    next_steps = (f"next: {f'{step.text} {step.command}'.strip()}" for step in later)
     return found, (*with_rows(judgement_table(judgements)), *rules, *next_steps)
 
 

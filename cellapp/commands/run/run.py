@@ -24,8 +24,7 @@ from cellapp.commands.push.request import PushRequest
 from cellapp.commands.push.run import push_targets
 from cellapp.commands.record import Request, View, Work
 from cellapp.commands.run.request import RunRequest
-from cellapp.commands.run.result import WholeRunResult
-from cellapp.commands.run_results import read_results, shown_by
+from cellapp.commands.run_results import WholeRunResult, read_results, shown_by
 from cellapp.commands.view.parts import Part
 from cellapp.ground.threads import give_back
 

@@ -17,7 +17,8 @@ from pydantic import ValidationError
 from cellapp.cell.driving.records import End
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.run_arms import StoredIdentity, arm_identities
-from cellapp.cell.run.sqlite_file import FILE_NAME, Session
+from cellapp.cell.run.sqlite_file import FILE_NAME
+from cellapp.commands.collect.result import last_session
 from cellapp.commands.next_step import arm_states, next_step
 from cellapp.commands.record import Work
 from cellapp.commands.run_results import RunResults, read_results
@@ -173,7 +174,8 @@ def _summary(run: RunFile, known: RunSummary) -> RunSummary:
     done, total = run.stops_done(), max(run.planned_counts().values(), default=0)
     reserves = run.profile.plan.reserves(total)
     remaining = sum(stop not in done and stop not in reserves for stop in range(total))
-    last = _last_session(sessions)
+    newest = last_session(sessions)
+    last: LastSession | None = None if newest is None else newest.outcome or "no end"
     return RunSummary.like(
         known,
         profile=run.profile.name,
@@ -194,12 +196,6 @@ def _summary(run: RunFile, known: RunSummary) -> RunSummary:
         next_step=after.short,
         interrupted=last is not None and last not in _DONE and remaining > 0,
     )
-
-
-def _last_session(sessions: list[Session]) -> LastSession | None:
-    """Return how the last session that collected unmeasured stops ended; None if there is none."""
-    last = next((one for one in reversed(sessions) if not one.again), None)
-    return None if last is None else last.outcome or "no end"
 
 
 FALSE_ALARM = 0.01

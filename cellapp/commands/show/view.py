@@ -12,7 +12,7 @@ from cellapp.commands.collect.view import recording_tables, stored_view
 from cellapp.commands.compensate.target_list import stored_state
 from cellapp.commands.compensate.view import target_parts
 from cellapp.commands.plan.request import VERB as PLAN
-from cellapp.commands.record import Request, View
+from cellapp.commands.record import View
 from cellapp.commands.registry import STORING, records
 from cellapp.commands.show.comparison import RunComparison, comparison_sentences, comparison_tables
 from cellapp.commands.show.request import ShowRequest
@@ -105,7 +105,7 @@ def _holds(stage: StageState) -> str:
     return "holds" if stage.out_of_date is None else f"out of date: {stage.out_of_date}"
 
 
-def view(found: Shown, request: Request | None = None) -> View:
+def view(found: Shown, request: ShowRequest | None = None) -> View:
     """Show the part, and whether it still holds."""
     shown = _view_of(found, request)
     old = (f"out of date: {found.out_of_date}; repeat it with {found.made_by}",) if found.out_of_date else ()
@@ -114,7 +114,7 @@ def view(found: Shown, request: Request | None = None) -> View:
     return View((*shown.parts, *old), found.complaints)
 
 
-def _view_of(found: Shown, request: Request | None) -> View:
+def _view_of(found: Shown, request: ShowRequest | None) -> View:
     match found.result:
         case None:
             return View((found.text,))
@@ -130,8 +130,7 @@ def _view_of(found: Shown, request: Request | None) -> View:
             return View((*comparison_tables(found.result), *comparison_sentences(found.result)))
         case CollectionResult():
             return stored_view(found.result)
-    asked = request if isinstance(request, ShowRequest) else None
-    target = None if asked is None else asked.target
+    target = None if request is None else request.target
     if target is not None and found.results is not None and (state := stored_state(found.results, target)):
         return View(target_parts(found.results, state))
     stored = ((verb, how) for verb in records(STORING) for how in verb.stored if how.part == found.part)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from operator import attrgetter
-from typing import Any, Literal, TypeAlias, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 R = TypeVar("R")
 
@@ -40,11 +40,10 @@ Cell = str | int | float | Number | Interval | None
 
 @dataclass(frozen=True)
 class Column:
-    """A column. Numbers are aligned right, text left; ``number_format`` is a format specification such as ``.4f``."""
+    """A column of text, or with a ``number_format`` such as ``.4f`` of numbers and intervals, aligned right."""
 
     title: str
-    kind: Literal["text", "number"] = "text"
-    number_format: str = ""
+    number_format: str | None = None
     unit: str = ""
 
     @property
@@ -55,17 +54,7 @@ class Column:
     @property
     def is_number(self) -> bool:
         """Whether cells are aligned right."""
-        return self.kind == "number"
-
-
-def number_column(title: str, number_format: str, unit: str = "") -> Column:
-    """Build a column of numbers or intervals."""
-    return Column(title, "number", number_format, unit)
-
-
-def columns_of(*headings: str | tuple[str, ...]) -> tuple[Column, ...]:
-    """Build columns: of text by their title, of numbers or intervals by title, format and, if any, unit."""
-    return tuple(Column(one) if isinstance(one, str) else number_column(*one) for one in headings)
+        return self.number_format is not None
 
 
 @dataclass(frozen=True)
@@ -100,7 +89,7 @@ class Table:
     def text_rows(self) -> tuple[tuple[str, ...], ...]:
         """Return all cells as text."""
         return tuple(
-            tuple(format_cell(cell, column.number_format) for cell, column in zip(row, self.columns, strict=True))
+            tuple(format_cell(cell, column.number_format or "") for cell, column in zip(row, self.columns, strict=True))
             for row in self.rows
         )
 
@@ -120,12 +109,18 @@ Field: TypeAlias = tuple[str, Source] | tuple[str, Source, str] | tuple[str, Sou
 
 def table_of(title: str, rows: Iterable[Any], *fields: Field) -> Table:
     """Build a table with a row for each object."""
-    columns = tuple(number_column(one[0], *one[2:]) if len(one) > 2 else Column(one[0]) for one in fields)
+    columns = tuple(Column(one[0], *one[2:]) for one in fields)
     sources = [attrgetter(one[1]) if isinstance(one[1], str) else one[1] for one in fields]
     cells = tuple(
         tuple(_shown(source(row), column.unit) for column, source in zip(columns, sources, strict=True)) for row in rows
     )
     return Table(title, columns, cells)
+
+
+def table_of_cells(title: str, rows: Iterable[Sequence[Cell]], *headings: str | tuple[str, ...]) -> Table:
+    """Build a table of rows of cells; columns of text by their title, of numbers by title, format and, if any, unit."""
+    columns = tuple(Column(one) if isinstance(one, str) else Column(*one) for one in headings)
+    return Table(title, columns, tuple(map(tuple, rows)))
 
 
 def with_rows(*tables: Table) -> list[Table]:

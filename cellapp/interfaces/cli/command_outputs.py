@@ -1,19 +1,16 @@
-"""Files that a command may write, derived from the declarations of its options; ``--force`` for each that writes.
-
-Arguments and options that several commands share.
-"""
+"""Files that a command may write and name, and the options of every command about them."""
 
 from __future__ import annotations
 
+import contextlib
 import functools
-import inspect
 import os
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, get_args, get_origin
+from typing import Annotated, Any
 
 import typer
 from rich.markup import escape
@@ -24,10 +21,8 @@ from cellapp.ground.shell import filled
 from cellapp.interfaces.cli.requests import REMEDY
 
 HELP_OPTIONS = ["-h", "--help"]
-_FORCE = "force"
 _OUTPUT = "Output"
 """Panel of the options that every command has."""
-CommandFunction = TypeVar("CommandFunction", bound=Callable[..., Any])
 
 
 @dataclass(frozen=True)
@@ -68,9 +63,10 @@ class CommandOutputs:
             named[place] = option
 
 
-_NAMED = {"DIR": "folder", "PROFILE": "profile", "TARGETS": "targets"}
+NAMED = {"DIR": "folder", "PROFILE": "profile", "TARGETS": "targets"}
 """Words for files in quoted commands, and the fields of requests that hold them."""
-_ADDED_TO = (Writes.STORE, Writes.OWN_FOLDER)
+ADDED_TO = (Writes.STORE, Writes.OWN_FOLDER)
+"""Ways of writing that replace nothing."""
 _NOTHING_CALLED = CommandOutputs()
 _current: ContextVar[CommandOutputs] = ContextVar("command_outputs", default=_NOTHING_CALLED)
 
@@ -80,11 +76,29 @@ def current_outputs() -> CommandOutputs:
     return _current.get()
 
 
-class Commands(typer.Typer):
-    """A group of commands; each that has an option that writes also has ``--force``.
+@contextlib.contextmanager
+def calling(
+    values: Mapping[str, Any], written: Mapping[str, tuple[str, Writes]], named: Iterable[str], *, force: bool
+) -> Iterator[None]:
+    """Know the files of a call while it runs; one that failed keeps them for the message about it.
 
-    All commands are registered before the first call, which builds their parameters; further calls reuse them.
+    ``values`` are those of its parameters, ``written`` the option and the way of each that writes, and ``named`` the
+    words for files of its own.
     """
+    files: dict[Writes, dict[str, Path]] = {how: {} for how in Writes}
+    for name, (option, how) in written.items():
+        if values[name] is not None and str(values[name]) != "-":
+            files[how][option] = Path(values[name])
+    inputs = [path for name, value in values.items() if name not in written for path in _paths(value)]
+    own = {word: values[NAMED[word]] for word in named if isinstance(values[NAMED[word]], Path)}
+    allowed = Outputs(force, tuple(inputs), REMEDY)
+    token = _current.set(CommandOutputs(allowed, files[Writes.FILE], files[Writes.FILES], files[Writes.STORE], own))
+    yield
+    _current.reset(token)
+
+
+class Commands(typer.Typer):
+    """A group of commands. All are registered before the first call, which builds their parameters once."""
 
     @functools.cached_property
     def _built(self) -> Callable[..., Any]:
@@ -95,16 +109,6 @@ class Commands(typer.Typer):
         """Parse the arguments and call the command."""
         _current.set(_NOTHING_CALLED)
         return self._built(*args, **settings)
-
-    def command(self, name: str | None = None, **settings: Any) -> Callable[[CommandFunction], CommandFunction]:
-        """Register a command, as ``typer.Typer.command`` does."""
-        register = super().command(name, **settings)
-
-        def registered(function: CommandFunction) -> CommandFunction:
-            register(with_force(function))
-            return function
-
-        return registered
 
 
 def _as_text(command: Any) -> Any:
@@ -123,56 +127,6 @@ def _as_text(command: Any) -> Any:
     return command
 
 
-def with_force(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return the command with an option ``--force`` to replace files that it writes; unchanged if it writes none."""
-    signature = inspect.signature(function, eval_str=True)
-    written = {name: how for name, one in signature.parameters.items() if (how := _how(one.annotation)) is not None}
-    if not written:
-        return function
-    options = {name: _option(signature.parameters[name]) for name in written}
-
-    parameters = signature.parameters
-    own = {
-        word: name for word, name in _NAMED.items() if name in parameters and _said(parameters[name]).metavar == word
-    }
-
-    @functools.wraps(function)
-    def command(*, force: bool = False, **values: Any) -> Any:
-        token = _current.set(_outputs_of(written, options, own, values, force=force))
-        result = function(**values)
-        _current.reset(token)  # a call that failed keeps its files for the message about it
-        return result
-
-    replaced = [option for name, option in options.items() if written[name] not in _ADDED_TO]
-    words = f"Replace files of {', '.join(replaced)} that are there."
-    flag = typer.Option("--force", help=words, rich_help_panel=_OUTPUT)
-    parameter = inspect.Parameter(
-        _FORCE, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=Annotated[bool, flag]
-    )
-    others = [one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in parameters.values()]
-    command.__signature__ = signature.replace(parameters=[*others, parameter])  # type: ignore[attr-defined]
-    return command
-
-
-def written_by(function: Callable[..., Any]) -> dict[str, Writes]:
-    """Return the options of a command that write, and how they do."""
-    parameters = inspect.signature(function, eval_str=True).parameters.values()
-    return {_option(one): how for one in parameters if (how := _how(one.annotation)) is not None}
-
-
-def _outputs_of(
-    written: dict[str, Writes], options: dict[str, str], own: dict[str, str], values: dict[str, Any], *, force: bool
-) -> CommandOutputs:
-    named: dict[Writes, dict[str, Path]] = {how: {} for how in Writes}
-    for name, how in written.items():
-        if values[name] is not None and str(values[name]) != "-":
-            named[how][options[name]] = Path(values[name])
-    inputs = [path for name, value in values.items() if name not in written for path in _paths(value)]
-    files = {word: values[name] for word, name in own.items() if isinstance(values[name], Path)}
-    allowed = Outputs(force, tuple(inputs), REMEDY)
-    return CommandOutputs(allowed, named[Writes.FILE], named[Writes.FILES], named[Writes.STORE], files)
-
-
 def _paths(value: object) -> Iterator[Path]:
     """Yield the paths in the value of a parameter; a text may be one, like that of a public key."""
     if isinstance(value, Path):
@@ -184,23 +138,14 @@ def _paths(value: object) -> Iterator[Path]:
             yield from _paths(one)
 
 
-def _how(annotation: object) -> Writes | None:
-    if get_origin(annotation) is not Annotated:
-        return None
-    return next((one for one in get_args(annotation)[1:] if isinstance(one, Writes)), None)
+def forcing(*options: str) -> Any:
+    """Declare the option that lets a command replace what these name."""
+    words = f"Replace files of {', '.join(options)} that are there."
+    return typer.Option("--force", help=words, rich_help_panel=_OUTPUT)
 
 
-def _said(parameter: inspect.Parameter) -> Any:
-    """Return typer's declaration of a parameter."""
-    return next(one for one in get_args(parameter.annotation)[1:] if hasattr(one, "param_decls"))
-
-
-def _option(parameter: inspect.Parameter) -> str:
-    """Return the name of an option as it is typed; typer stores it as the default of the declaration."""
-    return str(_said(parameter).default)
-
-
-ProfilePath = Annotated[Path, typer.Argument(metavar="PROFILE", help="The cell, as YAML.")]
+JSON = {"json_file": ("--json", Writes.FILE)}
+"""How every command writes its result."""
 RunFolder = Annotated[Path, typer.Argument(metavar="DIR", help="The run's folder.")]
 JsonOption = Annotated[
     str | None,
@@ -210,25 +155,8 @@ JsonOption = Annotated[
         help="Write the result as JSON to FILE; '-' is standard output.",
         rich_help_panel=_OUTPUT,
     ),
-    Writes.FILE,
 ]
 AllowMotion = Annotated[
     bool,
     typer.Option("--allow-motion", help="Let real arms move without asking: the cell is clear, a person watches it."),
-]
-Jobs = Annotated[
-    int | None,
-    typer.Option(
-        "--jobs",
-        metavar="N",
-        min=1,
-        max=1024,
-        help="Processes, each of one thread; all cores if left out; 1: no other.",
-    ),
-]
-Scheduler = Annotated[
-    str | None,
-    typer.Option(
-        "--scheduler", metavar="ADDRESS", help="Compute on the workers of a Dask scheduler, as tcp://HOST:8786."
-    ),
 ]

@@ -9,13 +9,13 @@ import shutil
 import signal
 import sys
 import threading
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 from cellapp.commands.view.parts import Parts, printed
 from cellapp.ground.control import Aborted, JobControl
-from cellapp.ground.errors import CheckFailed, InputError
+from cellapp.ground.errors import InputError
 from cellapp.ground.progress import Notice, Progress, StateChange, Suspicion, eta_words, in_lines
 from cellapp.ground.signals import HANGUP, INTERRUPTS, available, ended_by, watch_signals
 from cellapp.interfaces.cli.command_outputs import current_outputs
@@ -94,17 +94,17 @@ class CommandJob:
         if event.note or event.detail is None:  # the note of a step stands until the next step
             self._bars.update(task, note=event.note)
 
-    def say(self, *lines: str) -> None:
-        """Print lines on standard output, or on standard error if standard output carries the JSON."""
-        self._stop_bars()
-        for line in lines:
-            print(self._filled(line), file=sys.stderr if self._json_file == "-" else sys.stdout, flush=True)
+    def say(self, line: str) -> None:
+        """Print a line on standard output, or on standard error if standard output carries the JSON."""
+        self._print(line, sys.stderr if self._json_file == "-" else sys.stdout)
 
-    def warn(self, *lines: str) -> None:
-        """Print lines that a person must see on standard error, whatever standard output is used for."""
+    def warn(self, line: str) -> None:
+        """Print a line that a person must see on standard error, whatever standard output is used for."""
+        self._print(line, sys.stderr)
+
+    def _print(self, line: str, stream: TextIO) -> None:
         self._stop_bars()
-        for line in lines:
-            print(self._filled(line), file=sys.stderr, flush=True)
+        print(self._filled(line), file=stream, flush=True)
 
     def show_view(self, view: Parts, rest: str = "") -> None:
         """Print the tables and lines of a view in their order; on a terminal as much as fits, if ``rest`` names it."""
@@ -218,9 +218,3 @@ class CommandJob:
             with contextlib.suppress(OSError):  # the terminal was closed
                 self._bars.stop()
             self._bars, self._tasks = None, {}
-
-
-def require_none(complaints: Sequence[str], what: str) -> None:
-    """Raise ``CheckFailed`` if a check of ``what`` has complaints."""
-    if complaints:
-        raise CheckFailed(f"{what}: {'; '.join(complaints)}")

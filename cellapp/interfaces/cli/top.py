@@ -16,7 +16,7 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.job_client import Verb
 from cellapp.ground.removed import removed_command
 from cellapp.ground.version import __version__
-from cellapp.interfaces.cli.command_outputs import HELP_OPTIONS, Commands, JsonOption, RunFolder, current_outputs
+from cellapp.interfaces.cli.command_outputs import HELP_OPTIONS, JSON, Commands, JsonOption, RunFolder, calling, forcing
 from cellapp.interfaces.cli.requests import JobRequest, ask_job
 
 REQUESTS: Mapping[Verb, str] = {
@@ -31,27 +31,21 @@ REQUESTS: Mapping[Verb, str] = {
 def _asking(verb: Verb) -> Callable[..., None]:
     """Return the command of a request."""
 
-    def ask(folder: RunFolder, json_file: JsonOption = None) -> None:
-        ask_job(JobRequest(verb, folder, json_file, current_outputs().outputs.force))
+    def ask(folder: RunFolder, json_file: JsonOption = None, force: Annotated[bool, forcing("--json")] = False) -> None:
+        with calling({"folder": folder, "json_file": json_file}, JSON, ["DIR"], force=force):
+            ask_job(JobRequest(verb, folder, json_file, force))
 
     ask.__name__ = verb
     return ask
 
 
-def add_requests(app: Commands) -> Commands:
-    """Add ``stop``, and the group ``job`` with the other requests to a running job; return the group."""
-    job = Commands(cls=InOrder, help=JOB, no_args_is_help=True)
+def add_requests(app: Commands, job: Commands) -> None:
+    """Add ``stop``, and to the group ``job`` the other requests to a running job."""
     for verb, words in REQUESTS.items():
         if verb == "stop":
             app.command(verb, help=words, rich_help_panel=PANEL[verb])(_asking(verb))
         else:
             job.command(verb, help=words)(_asking(verb))
-    app.add_typer(job, name="job", rich_help_panel=PANEL["job"])
-    return job
-
-
-JOB = "Ask the job that runs in DIR to pause, resume or abort; say that you have seen an arm at rest."
-TRIALS = "Effects hidden in a simulated cell of yours: which of which size would be named?"
 
 
 class InOrder(TyperGroup):
@@ -103,6 +97,6 @@ def overview() -> Commands:
     """Create the program for its help page: commands have only their help text, so little is loaded."""
     app = top()
     for word, panel in PANEL.items():
-        words = {"stop": REQUESTS["stop"], "job": JOB, "trials": TRIALS}.get(word) or help_of(word)
+        words = REQUESTS["stop"] if word == "stop" else help_of(word)
         app.command(name_of(word), help=words, rich_help_panel=panel)(lambda: None)
     return app

@@ -18,16 +18,24 @@ from typing import TYPE_CHECKING, Annotated, Any, Union, get_args, get_origin
 
 import annotated_types
 import typer
-from pydantic.fields import FieldInfo
 from typer.core import TyperGroup
 
-from cellapp.commands.record import Asked, Verb, View, Work
+from cellapp.commands.record import Ask, Asked, Request, Verb, View, Work
 from cellapp.commands.registry import MOVES
-from cellapp.ground.errors import InputError
+from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.ground.removed import removed_command
-from cellapp.interfaces.cli.command_outputs import AllowMotion, Commands, JsonOption
-from cellapp.interfaces.cli.job import CommandJob, require_none
-from cellapp.interfaces.page import draw_certificate, write_page
+from cellapp.interfaces.cli.command_outputs import (
+    ADDED_TO,
+    JSON,
+    NAMED,
+    AllowMotion,
+    Commands,
+    JsonOption,
+    calling,
+    forcing,
+)
+from cellapp.interfaces.cli.job import CommandJob
+from cellapp.interfaces.page import certificate_page, write_page
 
 if TYPE_CHECKING:
     from cellapp.ground.results import Result
@@ -42,7 +50,7 @@ _SHOWN: Mapping[str, tuple[str, ...]] = {
 """Verb -> the parts of a run that ``show`` shows of it, beside those that it stores."""
 
 
-def asking(job: CommandJob, profile_name: str, *, allowed: bool) -> Callable[[str], bool] | None:
+def asking(job: CommandJob, profile_name: str, *, allowed: bool) -> Ask | None:
     """Return a function that shows the first motion and returns whether it is allowed; None if nobody can be asked."""
     if allowed:
 
@@ -88,19 +96,14 @@ class _FirstByDefault(TyperGroup):
 
 
 def add_verb(app: Commands, verb: Verb, name: str, panel: str | None = None) -> None:
-    """Add the command of a verb; a verb with variants is a group."""
-    if verb.variants:
-        app.add_typer(group_of(verb), name=name, rich_help_panel=panel)
-    else:
+    """Add the command of a verb; a verb with variants is a group, with a command for each word."""
+    if not verb.variants:
         app.command(name, rich_help_panel=panel)(command_of(verb))
-
-
-def group_of(verb: Verb) -> Commands:
-    """Return the group of a verb with variants: one command for each word."""
+        return
     group = Commands(cls=_FirstByDefault, no_args_is_help=True, help=_help(verb))
     for word, variant in verb.variants.items():
         group.command(word, help=_help(verb, variant.help))(command_of(verb, variant.fixed))
-    return group
+    app.add_typer(group, name=name, rich_help_panel=panel)
 
 
 def _help(verb: Verb, text: str = "") -> str:
@@ -114,9 +117,16 @@ def command_of(verb: Verb, fixed: Mapping[str, Any] = MappingProxyType({})) -> C
     ``fixed`` are values of fields without an option.
     """
 
-    def command(*, json_file: str | None = None, allow_motion: bool = False, **values: Any) -> None:
+    asked = {name: words for name, words in verb.request.asked() if name not in fixed}
+    option = verb.request.option_of
+    written = {name: (option(name), words.writes) for name, words in asked.items() if words.writes} | JSON
+    named = [words.metavar for name, words in asked.items() if NAMED.get(words.metavar) == name]
+
+    def command(
+        *, json_file: str | None = None, allow_motion: bool = False, force: bool = False, **values: Any
+    ) -> None:
         given = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
-        with CommandJob(json_file) as job:
+        with calling({**values, "json_file": json_file}, written, named, force=force), CommandJob(json_file) as job:
             request = verb.asked({**fixed, **{name: value for name, value in given.items() if value is not None}})
             announced: list[Result] = []
 
@@ -130,16 +140,15 @@ def command_of(verb: Verb, fixed: Mapping[str, Any] = MappingProxyType({})) -> C
                 _show(job, verb, shown, result)
             if shown.refused:
                 raise InputError(shown.refused)
-            require_none(shown.failed, shown.checks or verb.checks or verb.name)
+            if shown.failed:
+                raise CheckFailed(f"{shown.checks or verb.checks or verb.name}: {'; '.join(shown.failed)}")
 
-    own = [
-        _parameter(name, field, words, verb.request.option_of(words.of) if words.of else "")
-        for (name, words), field in zip(verb.request.asked(), verb.request.model_fields.values(), strict=True)
-        if name not in fixed
-    ]
+    own = [_parameter(verb.request, name, words) for name, words in asked.items()]
     if verb.moves_arms:
         own.append(_keyword("allow_motion", AllowMotion, False))
     own.append(_keyword("json_file", JsonOption, None))
+    replaced = [option for option, how in written.values() if how not in ADDED_TO]
+    own.append(_keyword("force", Annotated[bool, forcing(*replaced)], False))
     command.__signature__ = inspect.Signature(own)  # type: ignore[attr-defined]
     command.__doc__ = _help(verb)
     return command
@@ -161,7 +170,7 @@ def _work(job: CommandJob, announce: Callable[[Result], None], *, allowed: bool)
         lambda profile_name: asking(job, profile_name, allowed=allowed),
         job.outputs,
         write_page=write_page,
-        certificate_page=draw_certificate,
+        certificate_page=certificate_page,
         announce=announce,
         say=job.say,
         choose=partial(_choose, job),
@@ -176,21 +185,20 @@ def _choose(job: CommandJob, question: str, answers: tuple[str, ...]) -> str:
     return said if said in answers else ""
 
 
-def _parameter(name: str, field: FieldInfo, words: Asked, owner: str) -> inspect.Parameter:
-    """Return the command's parameter for a field of a request, which belongs to the option ``owner``, if any."""
+def _parameter(request: type[Request], name: str, words: Asked) -> inspect.Parameter:
+    """Return the command's parameter for a field of a request."""
+    field = request.model_fields[name]
     bounds = {
         key: getattr(one, "ge" if key == "min" else "le")
         for one in field.metadata
         for key, kind in (("min", annotated_types.Ge), ("max", annotated_types.Le))
         if isinstance(one, kind)
     }
-    said = f"With {owner}: {words.help}" if owner else words.help
+    said = f"With {request.option_of(words.of)}: {words.help}" if words.of else words.help
     settings: dict[str, Any] = {"help": said, **bounds, **({"metavar": words.metavar} if words.metavar else {})}
-    option = words.option or f"--{name.replace('_', '-')}"
-    shape = typer.Argument(**settings) if words.argument else typer.Option(option, **settings)
+    shape = typer.Argument(**settings) if words.argument else typer.Option(request.option_of(name), **settings)
     annotated: Any = Annotated
-    kind = words.typed or _typed(field.annotation)
-    annotation = annotated[(kind, shape, *([words.writes] if words.writes else []))]
+    annotation = annotated[words.typed or _typed(field.annotation), shape]
     return _keyword(name, annotation, inspect.Parameter.empty if field.is_required() else field.default)
 
 

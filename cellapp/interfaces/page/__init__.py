@@ -17,8 +17,8 @@ def write_page(run: RunFile) -> Path:
     return page.write_page(run)
 
 
-def draw_certificate(result: CertificateResult) -> str:
+def certificate_page(result: CertificateResult) -> str:
     """Return the page of a certificate as HTML."""
-    from cellapp.interfaces.page.page import certificate_page as drawn
+    from cellapp.interfaces.page import page
 
-    return drawn(result)
+    return page.certificate_page(result)

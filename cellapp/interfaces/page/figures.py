@@ -6,25 +6,21 @@ One path for each series: a few kilobytes and a millisecond per chart, where a p
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from html import escape
 
 import numpy as np
 
 from cellapp.commands.view.charts import Array, Chart, Limit, Series
-from cellapp.commands.view.parts import Parts
 from cellapp.commands.view.table import Table
 from cellapp.interfaces.render.chart import (
     DOT,
     FEW,
-    Legend,
     Look,
     Scale,
     chart_scale,
     css_colour,
     equal_scales,
     is_marked,
-    legend_of,
     look_of,
 )
 
@@ -148,35 +144,11 @@ def _points(pixels: Array, look: Look) -> str:
     return f'<path d="{dots(pixels)}" stroke-linecap="round" stroke-width="{width}"/>'
 
 
-# -- A chart as a figure of the page, with the same content as in the terminal ----------------------------------------
-
-
-@dataclass(frozen=True)
-class Figure:
-    """A figure: picture, caption, message, legend. ``key`` is its anchor on the page."""
-
-    svg: str
-    caption: str
-    legend: Legend
-    note: str = ""
-    key: str = ""
-
-
-def chart_figure(key: str, chart: Chart) -> Figure:
-    """Return a chart's figure; ``key`` is its anchor on the page. An empty chart has only its message."""
-    if chart.is_empty:
-        return Figure("", chart.title, [], chart.message, key)
-    return Figure(chart_svg(chart), chart.title, legend_of(chart), chart.message, key)
+# -- Tables -----------------------------------------------------------------------------------------------------------
 
 
 _HALF, _GAP, _SENTENCE = 60, 2, 30
 """Characters: of a table in half of a screen, between two columns, and of a line of a sentence in a cell."""
-
-
-def part_figures(parts: Parts, key: str) -> list[Figure]:
-    """Return the figures of parts; their anchors are ``key`` and a number. Charts without values are omitted."""
-    charts = (one for one in parts if isinstance(one, Chart) and not one.is_empty)
-    return [chart_figure(f"{key}-{place}", chart) for place, chart in enumerate(charts, start=1)]
 
 
 def is_wide(table: Table) -> bool:

@@ -8,8 +8,6 @@ Templates of the HTML pages.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,16 +16,26 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.run.sqlite_file import REPORT_FILE
 from cellapp.commands.certificate.view import certificate_marks, certificate_sections, certificate_verdict
 from cellapp.commands.certificate_result import CertificateResult
-from cellapp.commands.report.data import ReportData, out_of_date_lines, read_report_data
+from cellapp.commands.report.data import out_of_date_lines, read_report_data
 from cellapp.commands.report.sections import report_sections
-from cellapp.commands.report.summary import header_facts, nothing_found, summary
+from cellapp.commands.report.summary import (
+    before_after_figure,
+    findings,
+    header_facts,
+    judged_matrix,
+    nothing_found,
+    steps,
+    verdict,
+)
 from cellapp.commands.stages import data_mark
+from cellapp.commands.view.charts import Chart
 from cellapp.commands.view.parts import Facts, Section
 from cellapp.commands.view.table import Table
-from cellapp.commands.view.words import VERDICT_TITLES, Verdict
+from cellapp.commands.view.words import VERDICT_TITLES
 from cellapp.ground.outputs import RENEWED
 from cellapp.ground.results import CERTIFICATE
-from cellapp.interfaces.page.figures import is_wide, part_figures
+from cellapp.interfaces.page.figures import chart_svg, is_wide
+from cellapp.interfaces.render.chart import legend_of
 
 if TYPE_CHECKING:
     from jinja2 import Template
@@ -35,8 +43,8 @@ if TYPE_CHECKING:
 
 _COMMAND = re.compile(r"&#39;(cellapp [^&]+)&#39;")
 """A command in an escaped sentence."""
-_KINDS = {"sentence": str, "facts": Facts, "table": Table, "section": Section}
-"""Kinds of parts that a template draws, beside charts."""
+_KINDS = {"sentence": str, "facts": Facts, "chart": Chart, "table": Table, "section": Section}
+"""Kinds of parts that a template draws."""
 _SHA_256 = re.compile(r"[0-9a-f]{64}")
 
 
@@ -52,41 +60,22 @@ def template(name: str) -> Template:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["svg"] = Markup  # made by cellapp, without any text that a user wrote
+    environment.filters["svg"] = lambda chart: Markup(chart_svg(chart))  # it escapes what a user wrote
+    environment.filters["legend"] = legend_of
     environment.filters["prose"] = lambda text: Markup(_COMMAND.sub(r"<code>\1</code>", str(escape(text))))
     environment.filters["is_hash"] = lambda text: bool(_SHA_256.fullmatch(text))
     environment.filters["of_kind"] = lambda parts, kind: [one for one in parts if one and isinstance(one, _KINDS[kind])]
-    environment.filters["figures"] = part_figures
     environment.filters["is_wide"] = is_wide
+    environment.globals["marks_of"] = certificate_marks
+    environment.globals["verdict_of"] = certificate_verdict
+    environment.globals["sections_of"] = certificate_sections
     environment.tests["verdict"] = VERDICT_TITLES.__contains__
     return environment.get_template(name)
 
 
-@dataclass(frozen=True)
-class DrawnCertificate:
-    """A certificate: its head, what a reader must see first, its verdict, and its sections."""
-
-    result: CertificateResult
-    marks: tuple[str, ...]
-    verdict: Verdict
-    sections: Sequence[Section]
-
-
-def certificate_of_run(data: ReportData) -> DrawnCertificate | None:
-    """Return the stored certificate of a run for its page, marked if out of date; None if there is none."""
-    result = data.results.certificate
-    return None if result is None else _drawn(result, data.results.out_of_date.get(CERTIFICATE, ""))
-
-
 def certificate_page(result: CertificateResult) -> str:
     """Return the certificate as a self-contained HTML page."""
-    return template("certificate.html").render(certificate=_drawn(result))
-
-
-def _drawn(result: CertificateResult, outdated: str = "") -> DrawnCertificate:
-    return DrawnCertificate(
-        result, tuple(certificate_marks(result, outdated)), certificate_verdict(result), certificate_sections(result)
-    )
+    return template("certificate.html").render(certificate=result, outdated="")
 
 
 def write_page(run: RunFile) -> Path:
@@ -115,8 +104,13 @@ def page_text(run: RunFile, written: datetime) -> str:
         header_facts=header_facts(data),
         alarms=out_of_date_lines(data),
         next_step=data.next_step,
-        summary=summary(data, data.judgements, written.date()),
+        steps=list(steps(data, data.judgements, written.date())),
+        verdict=verdict(data, data.judgements),
+        judged=judged_matrix(data.judgements, list(data.profile.arms)),
+        compared=before_after_figure(data),
+        findings=list(findings(data)),
         nothing_found=nothing_found(data),
-        certificate=certificate_of_run(data),
+        certificate=data.results.certificate,
+        outdated=data.results.out_of_date.get(CERTIFICATE, ""),
         sections=report_sections(run, data),
     )

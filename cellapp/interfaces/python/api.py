@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from cellapp.cell.run import RunFile
 from cellapp.commands.calibrate.view import calibration_tables
 from cellapp.commands.run_results import RunResults, read_results
-from cellapp.commands.stages import read_stages
+from cellapp.commands.stages import not_calibrated, read_stages
 from cellapp.commands.stored_model import model_of
 from cellapp.commands.view.parts import Parts
 from cellapp.estimation.calibration.quantities import measured_minus_computed
@@ -71,9 +71,7 @@ class Run(Printed):
     def calibration(self) -> Calibration:
         """The stored calibration, as returned by ``Cell.calibrate``. Raises ``InputError`` if there is none."""
         if self.results.calibrate is None or CALIBRATE not in self.models:
-            raise InputError(
-                f"{self.folder}: not calibrated yet; run 'cellapp calibrate {shell_word(self.folder)}' first"
-            )
+            raise not_calibrated(self.folder, self.folder)
         result = self.results.calibrate.without_effects()  # the effects of a discovery are only added for display
         return Calibration(self.profile, self.measured, self._stored(CALIBRATE), result)
 
@@ -111,9 +109,7 @@ class Run(Printed):
     def calibrated_model(self) -> CellModel:
         """Return the model. Raises ``InputError`` if the run is not calibrated."""
         if self.model is None:
-            raise InputError(
-                f"{self.folder}: not calibrated yet; run 'cellapp calibrate {shell_word(self.folder)}' first"
-            )
+            raise not_calibrated(self.folder, self.folder)
         return self.model
 
     def predict(self, arm: str, q: ArrayLike) -> Array:

@@ -40,7 +40,7 @@ from cellapp.commands.doctor.view import profile_tables
 from cellapp.commands.stored_model import values_in_force
 from cellapp.commands.view.charts import Chart
 from cellapp.commands.view.parts import Parts
-from cellapp.commands.view.table import Table, columns_of
+from cellapp.commands.view.table import table_of_cells
 from cellapp.estimation.calibration.calibrate import calibrate_readings, missing_splits
 from cellapp.estimation.calibration.quantities import conditions_of_arms, measured_minus_computed
 from cellapp.estimation.calibration.records import CalibrateResult
@@ -100,9 +100,9 @@ class CellReadings(Printed, Mapping[str, Readings]):
 
     def view(self) -> Parts:
         """Return the content of each arm's readings, and the notes."""
-        columns = columns_of("arm", ("readings", "d"), ("joints", "d"), "given")
-        rows = tuple((name, len(arm), arm.joints, ", ".join(_given(arm))) for name, arm in self.arms.items())
-        return [Table(f"Readings of {self.profile.name}", columns, rows), *self.notes]
+        rows = ((name, len(arm), arm.joints, ", ".join(_given(arm))) for name, arm in self.arms.items())
+        columns = "arm", ("readings", "d"), ("joints", "d"), "given"
+        return [table_of_cells(f"Readings of {self.profile.name}", rows, *columns), *self.notes]
 
     def frame(self) -> pd.DataFrame:
         """Return one row for each arm and stop, with the columns of a CSV file of readings. Needs pandas."""

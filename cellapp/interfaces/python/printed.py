@@ -19,7 +19,8 @@ from cellapp.commands.view.parts import Parts, printed
 from cellapp.commands.view.table import Table
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import RENEWED
-from cellapp.interfaces.page.figures import chart_figure
+from cellapp.interfaces.page.figures import chart_svg
+from cellapp.interfaces.render.chart import legend_of
 from cellapp.interfaces.render.terminal import plain_text
 
 _LONGEST = 190
@@ -126,10 +127,10 @@ def draw_charts(charts: Sequence[Chart]) -> Drawing:
 
 
 def _figure(chart: Chart) -> str:
-    drawn = chart_figure("", chart)
     names = (
         f'<span style="color: {"inherit" if look is None else look.css_colour}">{escape(text)}</span>'
-        for look, text in drawn.legend
+        for look, text in (() if chart.is_empty else legend_of(chart))
     )
-    words = f"<figcaption>{escape(drawn.caption)}</figcaption>{drawn.svg}<p>{' · '.join(names)}</p>"
-    return f'<figure style="max-width: 44rem">{words}<p>{escape(drawn.note)}</p></figure>'
+    svg = "" if chart.is_empty else chart_svg(chart)
+    words = f"<figcaption>{escape(chart.title)}</figcaption>{svg}<p>{' · '.join(names)}</p>"
+    return f'<figure style="max-width: 44rem">{words}<p>{escape(chart.message)}</p></figure>'

@@ -36,7 +36,7 @@ from textual.driver import Driver
 from textual.screen import Screen
 from textual.theme import Theme
 
-from cellapp.commands.docs.keys import KEYS, SHOWN
+from cellapp.commands.docs.keys import KEYS, SHOWN, Step
 from cellapp.commands.record import View
 from cellapp.commands.registry import ALL
 from cellapp.interfaces.tui import terminal
@@ -56,7 +56,7 @@ from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.terminal import driver_that_stops
 from cellapp.interfaces.tui.widgets.arm_panel import LiveStrip
 from cellapp.interfaces.tui.widgets.controls import Line
-from cellapp.interfaces.tui.workspace import Step, Workspace, holds_run, last_run, load_workspace
+from cellapp.interfaces.tui.workspace import Workspace, holds_run, last_run, load_workspace
 
 if TYPE_CHECKING:
     from cellapp.ground.results import Result
@@ -268,7 +268,7 @@ class CellApp(JobKeys):
     ) -> None:
         # the job's thread and that of signals call by the queue of messages
         jobs = JobRunner(partial(self.call_later, self.ask_before_motion), partial(self.call_later, self.show_end))
-        leaving = Leaving(jobs, partial(self.call_later, self.leave_at_once), patience_s, ends_process=ends_process)
+        leaving = Leaving(jobs, partial(self.call_later, self._leave, True), patience_s, ends_process=ends_process)
         super().__init__(profiles, logs, jobs, leaving)
         self.passes = SlowCollections()
         self.others = JobsOfOthers(self)
@@ -340,10 +340,6 @@ class CellApp(JobKeys):
         else:
             self.exit(return_code=self.jobs.code)
 
-    def leave_at_once(self) -> None:
-        """Quit as if the question had been answered with yes."""
-        self._leave(True)
-
     def _leave(self, leave: bool) -> None:
         self.refresh_bindings()
         if not leave:
@@ -368,11 +364,6 @@ class CellApp(JobKeys):
     def day_screen(self) -> DayScreen:
         """The shown screen of the day, below any dialog."""
         return next(screen for screen in reversed(self.screen_stack) if isinstance(screen, DayScreen))
-
-    @property
-    def _made_screen(self) -> DayScreen | None:
-        """The screen of the day; None while it is being mounted, so that it is not drawn twice."""
-        return self.day_screen if self.day_screen.is_mounted else None
 
     def _screen_of(self, step: Step) -> DayScreen:
         if step not in self._screens:
@@ -453,20 +444,13 @@ class CellApp(JobKeys):
 
     # -- profile and run -----------------------------------------------------------------------------------------------
 
-    def open_profile(self, path: Path) -> None:
-        """Open a profile without a run."""
-        self._load(path, None)
-
     def say_last_run(self, words: str) -> None:
         """Say more of the last run, in the line that names it."""
         self.waits = words
         self.draw_all()
 
-    def open_run(self, folder: Path, profile_path: Path | None = None) -> None:
-        """Open a run; its own profile is used."""
-        self._load(profile_path, folder)
-
-    def _load(self, profile_path: Path | None, folder: Path | None) -> None:
+    def open_run(self, folder: Path | None, profile_path: Path | None = None) -> None:
+        """Open a run; its own profile is used. Without one open a profile."""
         if self._hides_moving_arms(folder):
             text = f"'{self.record.name}' moves arms; stop it or wait for its end before something else is opened."
             self.say(text, "warning")
@@ -534,7 +518,7 @@ class CellApp(JobKeys):
             return  # something else is open now
         folder = job.folder or self.workspace.folder
         self.reading = f"What '{job.name}' has stored is being read."
-        self._load(self.workspace.profile_path, folder if holds_run(folder) else self.workspace.folder)
+        self.open_run(folder if holds_run(folder) else self.workspace.folder, self.workspace.profile_path)
         self.refresh_bindings()
         self.passes.look_again()  # nothing moves now
 
@@ -555,16 +539,20 @@ class CellApp(JobKeys):
 
     def draw_all(self) -> None:
         """Redraw the current screen completely."""
-        with contextlib.suppress(NoMatches, StopIteration):  # no screen is mounted yet, or screens are being removed
-            self._draw_message()
-            if (screen := self._made_screen) is not None:
-                screen.show_workspace(self.workspace)
+        self._draw_message()
+        self._draw(lambda screen: screen.show_workspace(self.workspace))
         self._draw_job()
         self.refresh_bindings()
 
+    def _draw(self, draw: Callable[[DayScreen], object]) -> None:
+        """Draw on the current screen, unless it is being mounted and will be drawn then."""
+        with contextlib.suppress(NoMatches, StopIteration):  # no screen is mounted yet, or screens are being removed
+            if self.day_screen.is_mounted:
+                draw(self.day_screen)
+
     def _draw_message(self) -> None:
-        with contextlib.suppress(NoMatches, StopIteration):
-            self.day_screen.query_one(".message", Line).say(self.message, f"message {self._severity}")
+        said = self.message, f"message {self._severity}"
+        self._draw(lambda screen: screen.query_one(".message", Line).say(*said))
 
     def _draw_events(self) -> None:
         """Process the oldest events of the job, and draw if anything changed.
@@ -577,9 +565,7 @@ class CellApp(JobKeys):
             self.record.add(event)
         live = self.jobs.control.live() if self.jobs.running else None
         self.record.look(live)
-        with contextlib.suppress(NoMatches, StopIteration):
-            if (screen := self._made_screen) is not None:
-                screen.query_one(LiveStrip).show(live, self.workspace.unseen)
+        self._draw(lambda screen: screen.query_one(LiveStrip).show(live, self.workspace.unseen))
         if self.record.changes == self._drawn:
             return
         self._drawn = self.record.changes
@@ -594,10 +580,12 @@ class CellApp(JobKeys):
 
     def _draw_job(self) -> None:
         """Draw the state and the job on the current screen."""
-        with contextlib.suppress(NoMatches, StopIteration):
-            if (screen := self._made_screen) is not None:
-                screen.draw_state()
-                screen.show_job(self.record)
+
+        def draw(screen: DayScreen) -> None:
+            screen.draw_state()
+            screen.show_job(self.record)
+
+        self._draw(draw)
 
     def _say_state(self) -> None:
         """Show a new state of the job in the message line."""

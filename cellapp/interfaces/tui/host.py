@@ -16,11 +16,12 @@ from textual.geometry import Region
 from textual.message import Message
 from textual.screen import ModalScreen
 
+from cellapp.commands.docs.keys import Step
 from cellapp.interfaces.tui.job_record import JobRecord
 from cellapp.interfaces.tui.jobs import Job, JobRunner
 from cellapp.interfaces.tui.leaving import Leaving
 from cellapp.interfaces.tui.run_state import RunState, run_state
-from cellapp.interfaces.tui.workspace import Step, Workspace
+from cellapp.interfaces.tui.workspace import Workspace
 
 if TYPE_CHECKING:
     from cellapp.commands.record import View
@@ -112,10 +113,10 @@ class Host(App[None]):
 
     def open_profile(self, path: Path) -> None:
         """Open a profile without a run."""
-        raise NotImplementedError
+        self.open_run(None, path)
 
-    def open_run(self, folder: Path, profile_path: Path | None = None) -> None:
-        """Open a run; its own profile is used."""
+    def open_run(self, folder: Path | None, profile_path: Path | None = None) -> None:
+        """Open a run; its own profile is used. Without one open a profile."""
         raise NotImplementedError
 
     def action_show(self, step: Step) -> None:

@@ -37,7 +37,7 @@ from cellapp.ground.progress import (
 
 LATE_S, LOST_S = 0.3, 1.0
 """Ages from which data are late, and lost: lost data say nothing about now."""
-Look = Literal["fresh", "late", "lost"]
+Freshness = Literal["fresh", "late", "lost"]
 
 HALT_WORDS: Mapping[HaltState, str] = {
     "asked": "STOP ASKED",
@@ -49,7 +49,7 @@ _WORST_FIRST: tuple[HaltState, ...] = ("not seen at rest", "asked", "braking", "
 _TREAT_AS_MOVING = "treat it as moving: emergency stop, then look"
 
 
-def look_of(age_s: float | None) -> Look:
+def look_of(age_s: float | None) -> Freshness:
     """Return how data of an age are displayed; None means no data."""
     if age_s is None or age_s > LOST_S:
         return "lost"
@@ -71,9 +71,9 @@ def halt_of(arm: ArmLive) -> HaltState | None:
     return "not seen at rest" if unknown else arm.halt.state
 
 
-def strip_of(live: CellLive) -> list[tuple[str, Look]]:
+def strip_of(live: CellLive) -> list[tuple[str, Freshness]]:
     """Return each arm, the tracker and the job in words with the age of their data, and how these are displayed."""
-    parts: list[tuple[str, Look]] = []
+    parts: list[tuple[str, Freshness]] = []
     for name, arm in live.arms.items():
         halt, look = halt_of(arm), look_of(arm.age_s)
         doing = HALT_WORDS[halt] if halt else "no state" if look == "lost" else "moves" if arm.moving else "rests"

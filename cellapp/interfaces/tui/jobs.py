@@ -14,15 +14,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cellapp.commands.record import Request, Verb, View
+from cellapp.commands.record import Ask, Request, Verb, View
 from cellapp.ground.control import JobControl
 from cellapp.ground.progress import Progress
 
 if TYPE_CHECKING:
     from cellapp.ground.results import Result
 
-Ask = Callable[[str], bool]
-"""Function that shows a person the first motion in words and returns whether it is allowed."""
 JobWork = Callable[[JobControl, Ask], "Result | None"]
 """A verb with its inputs bound; it runs in the job's thread."""
 

@@ -11,10 +11,9 @@ from collections.abc import Mapping, Sequence
 
 from textual.binding import Binding, BindingType
 
-from cellapp.commands.docs.keys import KEYS, SHOWN
+from cellapp.commands.docs.keys import KEYS, SHOWN, STEPS, Step
 from cellapp.commands.iso9283.request import VERB as ISO9283
 from cellapp.commands.registry import ALL, name_of
-from cellapp.interfaces.tui.workspace import STEPS, Step
 
 WAYS: Mapping[str, tuple[Step, str]] = {
     "doctor": ("cell", "go"),

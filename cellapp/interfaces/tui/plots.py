@@ -34,9 +34,9 @@ _CELLS_A_MARK = 8
 _MARKED_SHARE = 5
 """Of a dense cloud, every fifth cell shows its mark."""
 
-Run = tuple[str, int]
+Inked = tuple[str, int]
 """A text and its ink: the style of a series, or one of those above."""
-Line = list[Run]
+InkedLine = list[Inked]
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +61,7 @@ class Cells:
         self.characters[row, column : column + len(text)] = list(text)
         self.inks[row, column : column + len(text)] = ink
 
-    def lines(self) -> Iterator[Line]:
+    def lines(self) -> Iterator[InkedLine]:
         """Yield the rows as runs of one ink."""
         for characters, inks in zip(self.characters, self.inks, strict=True):
             begin = [0, *(np.flatnonzero(np.diff(inks)) + 1).tolist()]
@@ -69,7 +69,7 @@ class Cells:
             yield [(text[a:b], int(inks[a])) for a, b in pairwise([*begin, len(text)])]
 
 
-def draw(chart: Chart, width: int, height: int) -> list[Line]:
+def draw(chart: Chart, width: int, height: int) -> list[InkedLine]:
     """Draw title, plot, key and message in at most ``height`` lines of ``width`` cells.
 
     If the space is too small, parts are omitted in this order: the words of the axes, sentences after the first and the
@@ -87,7 +87,7 @@ def draw(chart: Chart, width: int, height: int) -> list[Line]:
     return title + message if len(message) <= room else message[:height]
 
 
-def _words(chart: Chart, width: int, message: list[Line]) -> Iterator[tuple[list[Line], list[Line]]]:
+def _words(chart: Chart, width: int, message: list[InkedLine]) -> Iterator[tuple[list[InkedLine], list[InkedLine]]]:
     """Yield lines above and below a plot: first all of them, then fewer and fewer."""
     axes, key = _wrapped(f"↑ {chart.y.words}   → {chart.x.words}", width), _key_lines(chart, width)
     sentence = _wrapped(chart.message.partition(". ")[0], width)
@@ -98,7 +98,7 @@ def _words(chart: Chart, width: int, message: list[Line]) -> Iterator[tuple[list
     yield [], sentence
 
 
-def _wrapped(text: str, width: int, ink: int = TEXT) -> list[Line]:
+def _wrapped(text: str, width: int, ink: int = TEXT) -> list[InkedLine]:
     return [[(line, ink)] for line in textwrap.wrap(text, width)]
 
 
@@ -234,13 +234,13 @@ def _marked(one: Series, occupied: NDArray[np.bool_], column: Array, row: Array,
 # -- words ------------------------------------------------------------------------------------------------------------
 
 
-def _key_lines(chart: Chart, width: int) -> list[Line]:
+def _key_lines(chart: Chart, width: int) -> list[InkedLine]:
     """Return marks and names of the series and limits, if there are several."""
     entries = [(mark_of(one), one.name, one.style) for one in chart.series] if len(chart.series) > 1 else []
     for limit in chart.limits:
         entries.append((LIMIT, f"{limit.name} {limit.value:.3g} {chart.y.unit}".rstrip(), SOFT))
     entries += [(_BAND, "uncertainty", one.style) for one in chart.series if one.band is not None][:1]
-    lines: list[Line] = []
+    lines: list[InkedLine] = []
     used = width
     for mark, name, ink in entries:
         text = _cut(name, width - 2)

@@ -13,12 +13,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from cellapp.commands.docs.keys import SHOWN
+from cellapp.commands.docs.keys import SHOWN, STEPS, Step
 from cellapp.ground.progress import JobState
 from cellapp.interfaces.tui.job_record import JobRecord, within_limit
 from cellapp.interfaces.tui.jobs import Job
 from cellapp.interfaces.tui.keys import step_of, with_keys
-from cellapp.interfaces.tui.workspace import STEPS, Step, Workspace
+from cellapp.interfaces.tui.workspace import Workspace
 
 if TYPE_CHECKING:
     from cellapp.commands.next_step import Conclusion

@@ -6,12 +6,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cellapp.commands.record import Request, Verb, Work
+from cellapp.commands.record import Ask, Request, Verb, Work
 from cellapp.commands.run.request import VERB as RUN
 from cellapp.ground.control import JobControl
-from cellapp.ground.outputs import NEW_ONLY, Outputs
-from cellapp.interfaces.page import draw_certificate, write_page
-from cellapp.interfaces.tui.jobs import Ask, Job
+from cellapp.interfaces.page import certificate_page, write_page
+from cellapp.interfaces.tui.jobs import Job
 
 if TYPE_CHECKING:
     from cellapp.commands.init.request import InitRequest
@@ -19,17 +18,16 @@ if TYPE_CHECKING:
     from cellapp.ground.results import Result
 
 
-def verb_job(verb: Verb, request: Request, outputs: Outputs = NEW_ONLY) -> Job:
-    """Return the job of a verb; ``outputs`` says what it may replace."""
+def verb_job(verb: Verb, request: Request) -> Job:
+    """Return the job of a verb."""
 
     def work(control: JobControl, ask: Ask) -> Result:
         given = Work(
             control,
             lambda profile_name: ask,
-            outputs,
             choose=lambda question, answers: answers[-1] if verb.moves_arms and ask(question) else "",
             write_page=write_page,
-            certificate_page=draw_certificate,
+            certificate_page=certificate_page,
         )
         return verb.run(request, given)
 

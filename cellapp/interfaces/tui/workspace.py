@@ -8,8 +8,9 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
+from cellapp.commands.docs.keys import Step
 from cellapp.ground.errors import CellappError, InputError
 from cellapp.ground.job_client import JOB_FILE, who_uses
 
@@ -28,9 +29,6 @@ if TYPE_CHECKING:
     from cellapp.estimation.uncertainty.records import Conformity
     from cellapp.ground.profile import CellKind, Profile
     from cellapp.ground.results import StageName
-
-Step = Literal["cell", "plan", "collect", "calibrate", "discover", "targets", "accept"]
-STEPS: tuple[Step, ...] = ("cell", "plan", "collect", "calibrate", "discover", "targets", "accept")
 
 
 @dataclass(frozen=True, eq=False)

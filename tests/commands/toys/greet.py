@@ -9,7 +9,7 @@ from pydantic import Field
 from cellapp.cell.run import RunFile
 from cellapp.commands.record import Asked, Request, RunFolder, Verb, View, Work
 from cellapp.commands.view.charts import Axis, Chart, series
-from cellapp.commands.view.table import Column, Table, number_column
+from cellapp.commands.view.table import Column, Table
 from cellapp.ground.results import Result
 
 
@@ -42,5 +42,5 @@ def view(result: GreetResult, request: Request | None = None) -> View:
     times = [float(result.times)] * len(result.arms)
     drawn = (series("greetings", range(1, len(times) + 1), times, "points"),)
     chart = Chart("Greetings", Axis("arm"), Axis("times"), drawn, "Everybody is greeted as often.")
-    table = Table("Greeted", (Column("arm"), number_column("times", "d")), rows)
+    table = Table("Greeted", (Column("arm"), Column("times", "d")), rows)
     return View((table, chart, "hello to all of them"))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import csv
 import json
 import os
@@ -12,7 +11,7 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +28,7 @@ from tests.interfaces.cli.conftest import Ended, exit_code, one_sentence
 from tests.loopback import own_address
 from tests.sure import sure
 from tests.twin import PROFILES, write_profile
-from tests.waiting import WAIT_S, until, within
+from tests.waiting import WAIT_S, process_of, until, within
 
 ROOT = Path(__file__).parents[3]
 RUN_S = 240.0
@@ -47,21 +46,16 @@ def few_targets() -> str:
     return "\n".join([f"{head}targets:", *chosen, FAR, ""])
 
 
-def environment() -> dict[str, str]:
-    return {**os.environ, "PYTHONWARNINGS": "default"}
+def python(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    """Run Python as a process of its own, which shows its warnings."""
+    env = {**os.environ, "PYTHONWARNINGS": "default", "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, *words]
+    return subprocess.run(command, cwd=cwd, env=env, capture_output=True, text=True, timeout=RUN_S, check=False)
 
 
 def shell(*arguments: object, cwd: Path) -> Ended:
     """Run the program as a process of its own."""
-    done = subprocess.run(
-        [sys.executable, "-m", "cellapp", *map(str, arguments)],
-        cwd=cwd,
-        env={**environment(), "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        timeout=RUN_S,
-        check=False,
-    )
+    done = python("-m", "cellapp", *map(str, arguments), cwd=cwd)
     assert "Traceback" not in done.stdout + done.stderr
     return Ended(done.returncode, done.stdout, done.stderr)
 
@@ -387,15 +381,7 @@ for command in sys.argv[1:]:
 
 def test_what_takes_long_to_load_is_loaded_by_no_command_that_needs_it_not(work: Path) -> None:
     edit(work / "twin.yaml", DRAWN, "  stops: 12")
-    done = subprocess.run(
-        [sys.executable, "-c", WATCH, *LIGHT],
-        cwd=work,
-        env={**environment(), "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        timeout=RUN_S,
-        check=False,
-    )
+    done = python("-c", WATCH, *LIGHT, cwd=work)
     assert done.returncode == 0, done.stderr
 
 
@@ -420,25 +406,9 @@ def wait_for_stops(run: Path, process: subprocess.Popen[str]) -> None:
     until(some, "the first stops")
 
 
-@contextlib.contextmanager
-def started(*words: str, cwd: Path) -> Iterator[subprocess.Popen[str]]:
-    """The program as a process, which does not outlive its test."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "cellapp", *words],
-        cwd=cwd, env={**environment(), "PYTHONPATH": str(ROOT)}, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-        text=True,
-    )  # fmt: skip
-    try:
-        yield process
-    finally:
-        if process.poll() is None:
-            process.kill()
-            process.communicate(timeout=WAIT_S)
-
-
 def interrupted(run: Path, number: int) -> tuple[int, str]:
     """Collect as a process, and send it a signal when some stops are stored; exit code and standard error."""
-    with started("collect", run.name, cwd=run.parent) as process:
+    with process_of("cellapp", "collect", run.name, cwd=run.parent) as process:
         wait_for_stops(run, process)
         process.send_signal(number)
         _, err = process.communicate(timeout=WAIT_S)
@@ -469,7 +439,7 @@ def test_killed_in_the_middle_it_is_resumed(long_run: Path, call: Any) -> None:
 
 
 def test_requests_from_another_process_reach_the_job_and_its_log(long_run: Path, call: Any) -> None:
-    with started("collect", long_run.name, cwd=long_run.parent) as process:
+    with process_of("cellapp", "collect", long_run.name, cwd=long_run.parent) as process:
         assert "takes about" in within(sure(process.stderr).readline, "the time")
         wait_for_stops(long_run, process)
         paused = shell("job", "pause", long_run.name, cwd=long_run.parent)
@@ -533,7 +503,7 @@ def test_interrupted_before_the_command_begins_it_exits_with_four(
 )
 def test_what_serves_does_so_until_it_is_interrupted(tmp_path: Path, command: list[str], begins: str) -> None:
     write_profile(tmp_path)
-    with started(*command, cwd=tmp_path) as process:
+    with process_of("cellapp", *command, cwd=tmp_path) as process:
         first = within(sure(process.stdout).readline, "the first line")
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=WAIT_S)

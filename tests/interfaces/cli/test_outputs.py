@@ -16,12 +16,12 @@ import pytest
 import typer
 
 from cellapp.cell.run import RunFile
+from cellapp.commands.registry import records
 from cellapp.estimation.readings import Readings
 from cellapp.ground import outputs
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, RENEWED, Outputs, Writes, write_new
 from cellapp.interfaces import cli
-from cellapp.interfaces.cli.command_outputs import written_by
 from tests.cell.run.small_runs import two_arms
 from tests.interfaces.cli.conftest import exit_code
 from tests.program import app
@@ -70,7 +70,19 @@ def commands(group: typer.Typer = app, words: tuple[str, ...] = ()) -> Iterator[
 
 
 ALL = tuple(commands())
-FILES = [(one, option) for one in ALL for option, how in written_by(one.function).items() if how is Writes.FILE]
+WRITTEN = {
+    verb.name: {verb.request.option_of(name): words.writes for name, words in verb.request.asked() if words.writes}
+    for verb in records()
+}
+
+
+def written_by(command: Command) -> dict[str, Writes]:
+    """The options of a command that write, and how."""
+    first, own = command.words[0], " ".join(command.words)
+    return {**(WRITTEN.get(own) or WRITTEN.get(first, {})), "--json": Writes.FILE}
+
+
+FILES = [(one, option) for one in ALL for option, how in written_by(one).items() if how is Writes.FILE]
 IDS = [" ".join((*one.words, option)) for one, option in FILES]
 
 
@@ -126,7 +138,7 @@ def usage(command: Command, given: str, but: str) -> list[str]:
 def test_every_option_that_names_a_place_says_whether_it_writes() -> None:
     open_ones = []
     for command in ALL:
-        written = written_by(command.function)
+        written = written_by(command)
         for one in inspect.signature(command.function, eval_str=True).parameters.values():
             if get_origin(one.annotation) is not Annotated:
                 continue
@@ -140,8 +152,8 @@ def test_every_option_that_names_a_place_says_whether_it_writes() -> None:
 
 def test_every_command_has_its_outputs() -> None:
     assert len(ALL) > 25
-    assert [one.words for one in ALL if "--json" not in written_by(one.function)] == []
-    by_option = {option for one in ALL for option in written_by(one.function)}
+    assert [one.words for one in ALL if "json_file" not in inspect.signature(one.function).parameters] == []
+    by_option = {option for one in ALL for option in written_by(one)}
     assert by_option == {
         "--json",
         "--csv",

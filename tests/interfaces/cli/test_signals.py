@@ -8,14 +8,12 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from pathlib import Path
 
 import pytest
 
 from tests.latency import attempts
-from tests.waiting import WAIT_S, next_line
+from tests.waiting import WAIT_S, next_line, process_of
 
-ROOT = Path(__file__).parents[3]
 BAR_S = 0.1
 LOADS = ("spin", "multiply", "query", "receive")
 
@@ -29,20 +27,9 @@ pytestmark = [
 @contextmanager
 def busy(load: str) -> Iterator[subprocess.Popen[str]]:
     """The job as a process, ready."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "tests.interfaces.cli.busy_job", load],
-        cwd=ROOT,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    try:
+    with process_of("tests.interfaces.cli.busy_job", load) as process:
         assert next_line(process) == "ready"
         yield process
-    finally:
-        if process.poll() is None:
-            process.kill()
-        process.communicate(timeout=WAIT_S)
 
 
 def brake_after(process: subprocess.Popen[str], number: int) -> tuple[str, float]:

@@ -24,10 +24,10 @@ from cellapp.commands.certificate_result import (
 from cellapp.commands.next_step import Step
 from cellapp.commands.report.data import ReportData
 from cellapp.commands.report.sections import SECTIONS, placed
-from cellapp.commands.report.summary import judged_matrix, summary, verdict
+from cellapp.commands.report.summary import findings, judged_matrix, steps, verdict
 from cellapp.commands.run_results import RunResults
 from cellapp.commands.view.parts import Section
-from cellapp.commands.view.table import Column, Interval, Number, Table, number_column
+from cellapp.commands.view.table import Column, Interval, Number, Table
 from cellapp.commands.view.words import judged_sentence, judgement_table
 from cellapp.estimation.uncertainty.records import Characteristic, Conformity, Judgement, UncertaintyContribution
 from cellapp.ground.counting import counted
@@ -114,8 +114,8 @@ def test_no_judgement_is_lost_in_the_matrix(which: list[tuple[Characteristic, st
 def test_a_tracker_whose_calibration_is_due_is_named(day: date, due: bool) -> None:
     tracker = Instrument(model="AT960", calibrated=date(2026, 3, 2), due=date(2027, 3, 2))
     profile = TWIN.model_copy(update={"traceability": Traceability(tracker=tracker)})
-    steps = [step.text for step in summary(data_of(profile), (), day).steps]
-    assert any("2027-03-02" in step for step in steps) == due
+    said = [step.text for step in steps(data_of(profile), (), day)]
+    assert any("2027-03-02" in step for step in said) == due
 
 
 def summaries() -> Iterator[object]:
@@ -138,11 +138,10 @@ def summaries() -> Iterator[object]:
         "not measured": (data_of(), missing),
     }
     for name, (data, judgements) in cases.items():
-        found = summary(data, judgements, TODAY)
         yield f"--- {name}"
         yield verdict(data, judgements)
         yield judged_sentence(judgements) if judgements else ""
-        yield from (*found.found, *found.steps, judged_matrix(judgements, ["left", "right"]))
+        yield from (*findings(data), *steps(data, judgements, TODAY), judged_matrix(judgements, ["left", "right"]))
 
 
 def test_the_summary_says_what_was_approved() -> None:
@@ -171,7 +170,7 @@ def test_saved_numbers_are_exact(value: float) -> None:
         Interval(value, value),
         int(value) if abs(value) < 1e9 else 0,
     )
-    columns = (number_column("a", ".3f"), *(Column(name, "number") for name in "bcde"))
+    columns = (Column("a", ".3f"), *(Column(name, "") for name in "bcde"))
     ((shown, number, with_unit, interval, whole),) = Table("t", columns, (row,)).shown_and_exact()
     assert float(shown[1] or shown[0]) == value
     assert float(number[1] or number[0]) == value

@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from cellapp.commands.view.parts import Part, Section
-from cellapp.commands.view.table import Column, Interval, Table, number_column
+from cellapp.commands.view.table import Column, Interval, Table
 from cellapp.ground.counting import mm, plain
 from cellapp.interfaces.render.terminal import TerminalTable, shortened
 
 TABLE = Table(
     "Errors [mm]",
-    (Column("stage"), number_column("mean", ".4f", "mm"), number_column("n", "d"), Column("note")),
+    (Column("stage"), Column("mean", ".4f", "mm"), Column("n", "d"), Column("note")),
     (("nominal", 0.12345, 17, "[bold]"), ("effects", Interval(0.1, 0.25), None, None)),
 )
 
@@ -59,7 +59,7 @@ _CELLS = st.one_of(
 def tables(draw: st.DrawFn) -> Table:
     texts = draw(st.lists(st.booleans(), min_size=1, max_size=14))
     columns = tuple(
-        Column(draw(_WORDS)) if is_text else number_column(draw(_WORDS), ".4f", draw(st.sampled_from(["", "mm rms"])))
+        Column(draw(_WORDS)) if is_text else Column(draw(_WORDS), ".4f", draw(st.sampled_from(["", "mm rms"])))
         for is_text in texts
     )
     rows = draw(st.lists(st.tuples(*[_CELLS] * len(columns)), min_size=1, max_size=4))
@@ -74,7 +74,7 @@ def test_no_word_is_broken_nothing_is_left_out_and_no_line_is_wider_than_the_ter
 
 
 def test_a_table_that_does_not_fit_is_printed_in_parts_that_repeat_the_names_of_its_rows() -> None:
-    columns = (Column("arm"), Column("pose"), *(number_column(f"value {k}", ".4f", "mm") for k in range(12)))
+    columns = (Column("arm"), Column("pose"), *(Column(f"value {k}", ".4f", "mm") for k in range(12)))
     rows = tuple((arm, pose, *(float(k) for k in range(12))) for arm in ("left", "right") for pose in ("P1", "P2"))
     lines = drawn(Table("Many", columns, rows), 80).splitlines()
     assert sum(line.split()[:2] == ["left", "P1"] for line in lines) == 2

@@ -15,12 +15,13 @@ from textual.app import App
 from textual.css.query import NoMatches
 from textual.pilot import Pilot
 
+from cellapp.commands.record import Ask
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError
 from cellapp.ground.progress import Progress, ReferenceReport, StateChange, StopReport, Suspicion
 from cellapp.ground.results import Result
 from cellapp.interfaces.tui.app import CellApp
-from cellapp.interfaces.tui.jobs import Ask, Job
+from cellapp.interfaces.tui.jobs import Job
 from tests.interfaces.tui.idle import wait_for_idle
 from tests.waiting import WAIT_S
 

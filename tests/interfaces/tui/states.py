@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 
+from cellapp.commands.docs.keys import Step
 from cellapp.commands.run_results import RunResults
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.ground.progress import JobState, Progress, StateChange
@@ -17,7 +18,7 @@ from cellapp.interfaces.tui.jobs import Job
 from cellapp.interfaces.tui.run_state import SIGNS, Mark, RunState, run_state
 from cellapp.interfaces.tui.screens import SCREENS
 from cellapp.interfaces.tui.screens.collect import headline
-from cellapp.interfaces.tui.workspace import Step, Workspace, load_workspace
+from cellapp.interfaces.tui.workspace import Workspace, load_workspace
 from tests.cell.run.small_runs import collected_run, planned_run
 
 RUN = Path("logs/day")

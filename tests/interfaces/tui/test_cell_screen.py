@@ -213,7 +213,7 @@ async def test_what_is_wrong_is_listed_edited_and_checked_again(
     edits(cell, monkeypatch, "plant_: {}", "")
     async with cell.run_test(size=size) as pilot:
         await until(pilot, lambda: all("twin.yaml:" in words for words in said(cell)), "the problems")
-        assert cell.day_screen.query_one("#cell-tabs", TabbedContent).active == "tab-profile"
+        assert cell.day_screen.query_one(TabbedContent).active == "tab-profile"
         await shows(pilot, "u edits it")
         TWIN.write_text(text.replace("\nplan:", "\nplant_: {}\nplan:"), "utf-8")
         await pilot.press("u")

@@ -19,8 +19,7 @@ from cellapp.commands.compensate.request import VERB as COMPENSATE
 from cellapp.commands.compensate.request import CompensateRequest
 from cellapp.commands.record import Request, View
 from cellapp.commands.run.request import VERB as WHOLE_DAY
-from cellapp.commands.run.result import WholeRunResult
-from cellapp.commands.run_results import read_results
+from cellapp.commands.run_results import WholeRunResult, read_results
 from cellapp.ground.results import ErrorSummary, Result
 from cellapp.interfaces.tui import verb_jobs
 from cellapp.interfaces.tui.dialogs.question import WRITE

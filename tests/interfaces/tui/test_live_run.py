@@ -8,7 +8,6 @@ import json
 import shutil
 import signal
 import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -22,9 +21,8 @@ from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.widgets.header import DayHeader
 from tests.cell.run.small_runs import collected_run
 from tests.interfaces.tui.pilot import ended, log_text, opened, running, shown_text, until
-from tests.interfaces.tui.terminal import ROOT
 from tests.sure import sure
-from tests.waiting import WAIT_S, next_line
+from tests.waiting import WAIT_S, next_line, process_of
 
 pytestmark = pytest.mark.waits
 
@@ -42,16 +40,10 @@ def _runs(tmp_path: Path) -> None:
 @contextlib.contextmanager
 def other_job(folder: Path, *words: str) -> Iterator[subprocess.Popen[str]]:
     """A job in a process of its own; it has begun to move."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "tests.interfaces.tui.other_job", str(folder.absolute()), *words],
-        cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    try:
+    asked = "tests.interfaces.tui.other_job", str(folder.absolute()), *words
+    with process_of(*asked, stdin=subprocess.PIPE, stderr=None) as process:
         assert next_line(process) == "ready"
         yield process
-    finally:
-        process.kill()
-        process.communicate(timeout=WAIT_S)
 
 
 async def watched(pilot: Pilot[None], app: CellApp, starts: bool = True) -> None:

@@ -21,13 +21,14 @@ from textual.pilot import Pilot
 
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.run_arms import note_halt, unseen_arms
+from cellapp.commands.record import Ask
 from cellapp.commands.view.charts import Axis, Chart, Limit, series
 from cellapp.ground.control import JobControl
 from cellapp.ground.progress import ArmLive, CellLive, Halt, HaltState, MeasurementBegun, Progress, StateChange
 from cellapp.interfaces.tui import app
 from cellapp.interfaces.tui.app import CellApp, SlowCollections
 from cellapp.interfaces.tui.job_record import LEVELS, JobRecord, LogRow, banner_of, strip_of
-from cellapp.interfaces.tui.jobs import Ask, Job
+from cellapp.interfaces.tui.jobs import Job
 from cellapp.interfaces.tui.plots import draw
 from cellapp.interfaces.tui.widgets.chart_plot import ON_DARK, ON_LIGHT
 from cellapp.interfaces.tui.widgets.log_pane import LogPane

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Sequence
 from glob import escape, glob
 from pathlib import Path
 from typing import ClassVar
@@ -19,29 +19,26 @@ _MOST_NAMED = 5
 
 
 class PathSuggester(Suggester):
-    """Completion of a path with existing files; folders get a slash.
+    """Completion of a path with existing files with one of some suffixes; folders get a slash."""
 
-    Parameters
-    ----------
-    wanted : callable
-        Whether a file may be chosen; folders can always be entered.
-    """
-
-    def __init__(self, wanted: Callable[[Path], bool]) -> None:
+    def __init__(self, suffixes: Sequence[str]) -> None:
         super().__init__(use_cache=False, case_sensitive=True)
-        self._wanted = wanted
+        self._suffixes = suffixes
 
     async def get_suggestion(self, value: str) -> str | None:
         """Return the first completion; None if there is none."""
-        found = completions(value, self._wanted)
+        found = completions(value, self._suffixes)
         return found[0] if found and found[0] != value else None
 
 
-def completions(text: str, wanted: Callable[[Path], bool]) -> list[str]:
-    """Return the paths that begin with ``text``, sorted, folders with a slash; hidden ones only if asked for."""
+def completions(text: str, suffixes: Sequence[str]) -> list[str]:
+    """Return the paths that begin with ``text``, sorted, folders with a slash; hidden ones only if asked for.
+
+    Files have one of the ``suffixes``, if there are any.
+    """
     found = sorted(glob(f"{escape(os.path.expanduser(text))}*"))
     paths = (path + os.sep if os.path.isdir(path) else path for path in found)
-    return [path for path in paths if path.endswith(os.sep) or wanted(Path(path))]
+    return [path for path in paths if path.endswith(os.sep) or not suffixes or Path(path).suffix in suffixes]
 
 
 class PathField(Input):
@@ -51,14 +48,14 @@ class PathField(Input):
     ----------
     text : str
         Initial path.
-    wanted : callable
-        Whether a file may be chosen.
+    suffixes : sequence of str
+        Those of the files that may be chosen; any if empty.
     hint : str
         Text that is shown while it is empty.
     """
 
-    def __init__(self, text: str, wanted: Callable[[Path], bool], *, id: str = "path", hint: str = "") -> None:
-        super().__init__(text, placeholder=hint, suggester=PathSuggester(wanted), id=id, compact=True)
+    def __init__(self, text: str, suffixes: Sequence[str], *, id: str = "path", hint: str = "") -> None:
+        super().__init__(text, placeholder=hint, suggester=PathSuggester(suffixes), id=id, compact=True)
 
 
 class FilePicker(AnswerQuestion[Path]):
@@ -70,20 +67,20 @@ class FilePicker(AnswerQuestion[Path]):
         What the file is for.
     start : Path
         The folder or file at which to begin.
-    wanted : callable
-        Which files are completed.
+    suffixes : sequence of str
+        Those of the files that are completed.
     """
 
     BINDINGS: ClassVar[list[BindingType]] = [Binding("tab", "complete", "Complete", priority=True)]
 
-    def __init__(self, title: str, start: Path, wanted: Callable[[Path], bool]) -> None:
+    def __init__(self, title: str, start: Path, suffixes: Sequence[str]) -> None:
         answers = ChosenAnswer("open", "Open", "ctrl+s", "success"), ChosenAnswer("no", "Close", "f10")
         super().__init__(title, "Tab completes, Enter opens.", answers)
         folder = start.is_dir() and str(start) != os.sep
-        self._start, self._wanted = str(start) + (os.sep if folder else ""), wanted
+        self._start, self._suffixes = str(start) + (os.sep if folder else ""), suffixes
 
     def fields(self) -> ComposeResult:
-        yield PathField(self._start, self._wanted)
+        yield PathField(self._start, self._suffixes)
 
     def on_mount(self) -> None:
         """Focus the field."""
@@ -93,7 +90,7 @@ class FilePicker(AnswerQuestion[Path]):
     def action_complete(self) -> None:
         """Complete to the longest common prefix of all candidates; a single candidate completely."""
         field = self.query_one(PathField)
-        if found := completions(field.value, self._wanted):
+        if found := completions(field.value, self._suffixes):
             field.value = os.path.commonprefix(found)  # noqa: RUF071 - letter by letter is meant
             field.cursor_position = len(field.value)
         field.focus()
@@ -108,5 +105,5 @@ class FilePicker(AnswerQuestion[Path]):
         if value == "no" or path.is_file():
             self.dismiss(None if value == "no" else path)
             return
-        found = ", ".join(map(os.path.basename, completions(self.typed("path"), self._wanted)[:_MOST_NAMED]))
+        found = ", ".join(map(os.path.basename, completions(self.typed("path"), self._suffixes)[:_MOST_NAMED]))
         self.explain(f"{path}: no such file." + (f" There are: {found}." if found else ""))

@@ -59,7 +59,7 @@ def begin_with(app: Host, answer: str | None) -> None:
     elif answer == "readings":
         take_own_readings(app)
     elif answer == "open":
-        picker = FilePicker("Which profile?", app.profiles.parent, lambda path: path.suffix == ".yaml")
+        picker = FilePicker("Which profile?", app.profiles.parent, [".yaml"])
         app.push_screen(picker, lambda path: None if path is None else app.open_profile(path))
 
 
@@ -97,10 +97,7 @@ def edit_profile(app: Host, path: Path) -> None:
     """Let a person edit a profile, then read and check it again."""
 
     def read() -> None:
-        if app.workspace.folder is not None and path == app.workspace.profile_path:
-            app.open_run(app.workspace.folder, path)
-        else:
-            app.open_profile(path)
+        app.open_run(app.workspace.folder if path == app.workspace.profile_path else None, path)
 
     edit_file(app, path, read, "Enter on its name checks it again")
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, TypeVar
 
@@ -156,8 +156,3 @@ class Reading(Question[None]):
         with VerticalScroll(classes="reading"):
             yield Static(Markdown(self._text))  # Textual's own makes a widget of each line, which takes seconds
         yield Static(f"Up, down, Page Up, Page Down scroll; {self.closing_key} closes.", classes="text", markup=False)
-
-
-def reading_of(title: str, lines: Iterable[str]) -> Reading:
-    """Return a text to read as it stands, below a title."""
-    return Reading("\n".join([f"# {title}", "", "```text", *lines, "```"]))

@@ -120,7 +120,7 @@ class VerbQuestion(AnswerQuestion[Request]):
             yield ItemGrid(*boxes, min_column_width=_COLUMN)
         elif kind is Path or words.suffixes:
             text = "" if default is None else str(default)
-            yield Labelled(label, PathField(text, lambda path: _fits(path, words), id=key, hint=words.hint))
+            yield Labelled(label, PathField(text, words.suffixes, id=key, hint=words.hint))
         else:
             several = get_origin(kind) is tuple
             shown = default if isinstance(default, tuple) else () if default is None else (default,)
@@ -169,7 +169,3 @@ class VerbQuestion(AnswerQuestion[Request]):
 
 def _id(name: str) -> str:
     return name.replace("_", "-")
-
-
-def _fits(path: Path, words: Asked) -> bool:
-    return not words.suffixes or path.suffix in words.suffixes

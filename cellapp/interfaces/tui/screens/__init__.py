@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from textual.screen import Screen
 
-from cellapp.interfaces.tui.workspace import STEPS, Step
+from cellapp.commands.docs.keys import STEPS, Step
 
 
 @dataclass(frozen=True)

@@ -7,16 +7,16 @@ The verbs of the screen Accept as jobs. Packages that a verb needs are loaded in
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import ClassVar
 
 from textual.app import ComposeResult
 from textual.binding import BindingType
-from textual.widgets import TabbedContent
 
 from cellapp.commands.certificate.request import VERB as CERTIFICATE_VERB
 from cellapp.commands.check.request import STOPS
 from cellapp.commands.check.request import VERB as CHECK_VERB
-from cellapp.commands.docs.keys import SHOWN
+from cellapp.commands.docs.keys import SHOWN, Step
 from cellapp.commands.iso9283.request import VERB as ISO9283_VERB
 from cellapp.commands.record import Verb
 from cellapp.commands.report.request import VERB as REPORT
@@ -26,17 +26,11 @@ from cellapp.interfaces.tui import verb_jobs
 from cellapp.interfaces.tui.dialogs.question import ChosenAnswer
 from cellapp.interfaces.tui.keys import bind, with_keys
 from cellapp.interfaces.tui.run_state import RunState
-from cellapp.interfaces.tui.screens.tabs import TabsScreen, id_of
+from cellapp.interfaces.tui.screens.tabs import TabsScreen
 from cellapp.interfaces.tui.widgets.controls import Line
 from cellapp.interfaces.tui.widgets.parts_view import words_first
-from cellapp.interfaces.tui.workspace import Step, Workspace, new_folder
+from cellapp.interfaces.tui.workspace import Workspace, new_folder
 
-_NOT_JUDGED = "Nothing is judged yet."
-_NOT_CHECKED = f"The calibration was not checked yet. {SHOWN['check']} measures a few stops: does it still hold?"
-_NOT_TESTED = (
-    f"Nothing was tested yet. {SHOWN['measure']} measures by ISO 9283: pose accuracy, repeatability, and more."
-)
-_NO_CERTIFICATE = f"No certificate was written yet. {SHOWN['export']} writes it."
 _SHOWN: tuple[tuple[Verb, StageName, str, str], ...] = (
     (CHECK_VERB, CHECK, "check", "Check"),
     (ISO9283_VERB, ISO9283, "measure", "ISO 9283"),
@@ -49,7 +43,7 @@ _NOMINAL = "Tests by ISO 9283 with nominal commands need no calibration."
 class AcceptScreen(TabsScreen):
     """Verdict, check, ISO 9283, certificate, report."""
 
-    AUTO_FOCUS = "#verdict PartsView"
+    AUTO_FOCUS = "#tab-verdict PartsView"
     STEP: ClassVar[Step] = "accept"
     BINDINGS: ClassVar[list[BindingType]] = [
         bind("go", "report", "Report", "write the page"),
@@ -59,7 +53,13 @@ class AcceptScreen(TabsScreen):
         bind("tab", "next_tab", "Next tab"),
     ]
 
-    TABS: ClassVar[tuple[str, ...]] = ("Verdict", "Check", "ISO 9283", "Certificate")
+    TABS: ClassVar[Mapping[str, str]] = {
+        "Verdict": "Nothing is judged yet.",
+        "Check": f"The calibration was not checked yet. {SHOWN['check']} measures a few stops: does it still hold?",
+        "ISO 9283": f"Nothing was tested yet. {SHOWN['measure']} measures by ISO 9283: pose accuracy, repeatability,"
+        " and more.",
+        "Certificate": f"No certificate was written yet. {SHOWN['export']} writes it.",
+    }
 
     def body(self) -> ComposeResult:
         yield Line(id="decision")
@@ -115,21 +115,14 @@ class AcceptScreen(TabsScreen):
         if (calibrated := self.calibrated_run()) is not None:
             self.start(verb_jobs.job_of(REPORT, folder=calibrated[0]))
 
-    def show_tab(self, title: str) -> None:
-        """Show a tab."""
-        tabs = self.query_one(TabbedContent)
-        tabs.active = id_of(title)
-        self.tab_shown(tabs)
-
     # -- drawing -------------------------------------------------------------------------------------------------------
 
     def show_state(self, state: RunState) -> None:
         """Say why there is no result and no verdict."""
-        self.tab("Verdict").say_empty(_NOT_JUDGED)
-        for title, empty in (("Check", _NOT_CHECKED), ("ISO 9283", _NOT_TESTED), ("Certificate", _NO_CERTIFICATE)):
-            needs = {"Check": state.not_calibrated, "Certificate": state.no_run}.get(title, "")
-            busy = state.nothing(self.STEP, "") if state.job is not None and state.job.step == self.STEP else ""
-            self.tab(title).say_empty(busy or needs or empty)
+        busy = state.nothing(self.STEP, "") if state.job is not None and state.job.step == self.STEP else ""
+        needs = {"Check": state.not_calibrated, "ISO 9283": "", "Certificate": state.no_run}
+        for title, need in needs.items():
+            self.tab(title).say_empty(busy or need or self.TABS[title])
         decision, sentence = "", state.no_run
         if self.workspace.verdict is not None:
             verdict, _ = self.workspace.verdict

@@ -12,10 +12,10 @@ from textual.containers import Vertical
 from textual.events import Resize, ScreenResume
 from textual.geometry import Size
 from textual.screen import Screen
-from textual.widgets import Static, TabbedContent, TabPane, Tabs
+from textual.widgets import Static
 
-from cellapp.commands.docs.keys import KEYS, SHOWN
-from cellapp.interfaces.tui.dialogs.question import BEGIN, USE_STALE, Choice, ChosenAnswer, reading_of
+from cellapp.commands.docs.keys import KEYS, SHOWN, Step
+from cellapp.interfaces.tui.dialogs.question import BEGIN, USE_STALE, Choice, ChosenAnswer, Reading
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.host import Host
 from cellapp.interfaces.tui.job_record import JobRecord
@@ -26,7 +26,7 @@ from cellapp.interfaces.tui.widgets.arm_panel import LiveStrip
 from cellapp.interfaces.tui.widgets.controls import KeyLine, Line
 from cellapp.interfaces.tui.widgets.header import DayHeader, StepLine
 from cellapp.interfaces.tui.widgets.progress_bars import ProgressBars
-from cellapp.interfaces.tui.workspace import Step, Workspace
+from cellapp.interfaces.tui.workspace import Workspace
 
 if TYPE_CHECKING:
     from cellapp.commands.record import Request, Verb, View
@@ -138,7 +138,7 @@ class DayScreen(Screen[None]):
         from cellapp.interfaces.tui.widgets.parts_view import words_first
 
         text = with_keys(plain_text(words_first([*view.failed, *view.parts]), READING_WIDTH))
-        self.app.push_screen(reading_of(self.cell_app.record.name, [text]))
+        self.app.push_screen(Reading(f"# {self.cell_app.record.name}\n\n```text\n{text}\n```"))
 
     def start(self, job: Job, shows_result: ShowsResult | None = None) -> None:
         """Start a job; if it cannot start, a sentence says why. By default this screen shows its result."""
@@ -197,19 +197,6 @@ class DayScreen(Screen[None]):
         reason = None if results is None else results.out_of_date.get(stage)
         return [] if reason is None else [f"! out of date: {reason}; {SHOWN[key]} {does}"]
 
-    def action_next_tab(self) -> None:
-        """Show the tab after the current one; after the last, the first."""
-        tabs = self.query_one(TabbedContent)
-        names = [pane.id or "" for pane in tabs.query(TabPane)]
-        tabs.active = names[(names.index(tabs.active) + 1) % len(names)]
-        self.tab_shown(tabs)
-
-    def tab_shown(self, tabs: TabbedContent) -> None:
-        """Let the keys go through the content of the tab that is shown now."""
-        if tabs.active_pane is not None:
-            for content in tabs.active_pane.query("DataTable, PartsView"):
-                self.call_after_refresh(content.focus)
-
     def show_runs(self) -> None:
         """List all runs; only the screen Cell does."""
 
@@ -239,10 +226,8 @@ class DayScreen(Screen[None]):
         self.set_class(event.size.width < _LEAST[0] or event.size.height < _LEAST[1], "-too-small")
 
     def on_mount(self) -> None:
-        """Store the state on which the styles of the new widgets depend, and explain the tabs."""
+        """Store the state on which the styles of the new widgets depend."""
         self._look = self._present_look
-        for tabs in self.query(Tabs):
-            tabs.tooltip = f"Left and right choose a tab; {SHOWN['tab']} shows the next one"
 
     def on_screen_resume(self, event: ScreenResume) -> None:
         """Draw what changed while another screen was shown; refresh styles only if they may have changed."""

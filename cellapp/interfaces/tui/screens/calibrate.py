@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import ClassVar
 
 from textual.binding import BindingType
@@ -10,6 +11,7 @@ from cellapp.cell.exports.formats import all_formats
 from cellapp.commands.calibrate import request
 from cellapp.commands.calibrate.charts import pair_stop_chart, stop_error_chart
 from cellapp.commands.calibrate.view import calibration_tables, parameters_view, tracker_sentences
+from cellapp.commands.docs.keys import Step
 from cellapp.commands.export.request import STAGES
 from cellapp.commands.export.request import VERB as EXPORT
 from cellapp.commands.report.data import ReportData
@@ -22,7 +24,7 @@ from cellapp.interfaces.tui.confirmations import offer_again
 from cellapp.interfaces.tui.dialogs.question import WRITE
 from cellapp.interfaces.tui.keys import bind
 from cellapp.interfaces.tui.screens.tabs import TabsScreen
-from cellapp.interfaces.tui.workspace import Step, Workspace
+from cellapp.interfaces.tui.workspace import Workspace
 
 
 class CalibrateScreen(TabsScreen):
@@ -36,7 +38,7 @@ class CalibrateScreen(TabsScreen):
         bind("export", "export", "Export", "write the calibrated arms for other programs"),
     ]
 
-    TABS: ClassVar[tuple[str, ...]] = ("Stages", "Errors", "Parameters")
+    TABS: ClassVar[Mapping[str, str]] = dict.fromkeys(("Stages", "Errors", "Parameters"), "")
 
     # -- keys ----------------------------------------------------------------------------------------------------------
 
@@ -73,8 +75,7 @@ class CalibrateScreen(TabsScreen):
         """Draw the calibration of the run."""
         result: CalibrateResult | None = workspace.stored(CALIBRATE)
         if result is None:
-            for title in self.TABS:
-                self.tab(title).show([])
+            self.show_nothing()
             return
         outdated = self.outdated(CALIBRATE, "go", "calibrates again")
         self.tab("Stages").show((*calibration_tables(result), *tracker_sentences(result), *result.notes), outdated)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, cast
@@ -10,20 +11,20 @@ from textual import on
 from textual.app import ComposeResult
 from textual.binding import BindingType
 from textual.containers import Horizontal, Vertical
-from textual.widgets import OptionList, Static, TabbedContent, TabPane
+from textual.widgets import OptionList, Static, TabbedContent
 
-from cellapp.commands.docs.keys import SHOWN
+from cellapp.commands.docs.keys import SHOWN, Step
 from cellapp.commands.doctor.request import VERB as DOCTOR
 from cellapp.commands.doctor.request import DoctorRequest
 from cellapp.ground.starters import offered_profiles
 from cellapp.interfaces.tui import verb_jobs as verbs
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.keys import bind
-from cellapp.interfaces.tui.screens.base import DayScreen
+from cellapp.interfaces.tui.run_state import RunState
+from cellapp.interfaces.tui.screens.tabs import TabsScreen, id_of
 from cellapp.interfaces.tui.widgets.controls import Line
-from cellapp.interfaces.tui.widgets.parts_view import PartsView
 from cellapp.interfaces.tui.widgets.tables import CellMap
-from cellapp.interfaces.tui.workspace import Step, Workspace
+from cellapp.interfaces.tui.workspace import Workspace
 
 if TYPE_CHECKING:
     from cellapp.commands.doctor.result import DoctorResult
@@ -36,7 +37,7 @@ _NOT_CHECKED = f"Not checked yet: {SHOWN['go']} asks the doctor; nothing moves."
 _ORDER = {"failed": 0, "warning": 1, "ok": 2}
 
 
-class CellScreen(DayScreen):
+class CellScreen(TabsScreen):
     """Choose a profile, read its content, see its devices, ask the doctor."""
 
     STEP: ClassVar[Step] = "cell"
@@ -48,6 +49,8 @@ class CellScreen(DayScreen):
         bind("tab", "next_tab", "Next tab", "show the next of the tabs"),
         bind("add", "write", "New profile", "write a profile that explains its keys, and edit it"),
     ]
+
+    TABS: ClassVar[Mapping[str, str]] = {"Profile": "", "Doctor": _NOT_CHECKED, "Map": "", "Runs": ""}
 
     def __init__(self) -> None:
         super().__init__()
@@ -66,13 +69,16 @@ class CellScreen(DayScreen):
             yield profiles
             with Vertical(id="cell-middle"):
                 yield Line(id="cell-verdict")
-                with TabbedContent(id="cell-tabs", initial="tab-profile"):
-                    yield TabPane("Profile", PartsView(id="profile"), id="tab-profile")
-                    yield TabPane("Doctor", PartsView(_NOT_CHECKED, id="findings"), id="tab-doctor")
-                    with TabPane("Map", id="tab-map"):
-                        yield CellMap(id="cell-map")
-                    # an empty pane would show its own name
-                    yield TabPane("Runs", Static(classes="nothing"), id="tab-runs")
+                yield from super().body()
+
+    def in_tab(self, title: str) -> ComposeResult:
+        """The widgets of a tab; the list of runs is made when it is looked at."""
+        if title == "Map":
+            yield CellMap()
+        elif title == "Runs":
+            yield Static(classes="nothing")  # an empty pane would show its own name
+        else:
+            yield from super().in_tab(title)
 
     def on_mount(self) -> None:
         """List the profiles and open the first one."""
@@ -108,7 +114,7 @@ class CellScreen(DayScreen):
 
     def action_open(self) -> None:
         """Ask for the path of a profile."""
-        picker = FilePicker("Which profile?", self.cell_app.profiles, lambda path: path.suffix == ".yaml")
+        picker = FilePicker("Which profile?", self.cell_app.profiles, [".yaml"])
         self.app.push_screen(picker, lambda path: None if path is None else self._open_listed(path))
 
     def _open_listed(self, path: Path) -> None:
@@ -154,7 +160,7 @@ class CellScreen(DayScreen):
 
     def show_runs(self) -> None:
         """List all runs."""
-        self.query_one("#cell-tabs", TabbedContent).active = "tab-runs"
+        self.tabs.active = id_of("Runs")
 
     @property
     def _runs(self) -> RunsList | None:
@@ -164,7 +170,7 @@ class CellScreen(DayScreen):
     @on(TabbedContent.TabActivated)
     def list_runs(self, event: TabbedContent.TabActivated) -> None:
         """Read the folder of runs when it is looked at; it has the whole width."""
-        self.set_class(event.pane.id == "tab-runs", "-runs")
+        self.set_class(event.pane.id == id_of("Runs"), "-runs")
         if self._runs is not None:
             self._runs.enter_list()
             self._runs.action_read()
@@ -193,10 +199,13 @@ class CellScreen(DayScreen):
             self._doctor_profile, self._written_ns = self.workspace.profile, _written_ns(self._doctor_path)
             ordered = sorted(result.findings, key=lambda finding: _ORDER[finding.status])  # failed ones first
             findings = DOCTOR.view(result.model_copy(update={"findings": ordered}))
-            self.query_one("#findings", PartsView).show(findings.parts)
-            self.query_one("#cell-tabs", TabbedContent).active = "tab-doctor"
+            self.tab("Doctor").show(findings.parts)
+            self.tabs.active = id_of("Doctor")
 
     # -- drawing -------------------------------------------------------------------------------------------------------
+
+    def show_state(self, state: RunState) -> None:
+        """No step of a run has its result here."""
 
     def show_workspace(self, workspace: Workspace) -> None:
         """Draw the profile if it has changed, and the doctor's verdict, which grows old."""
@@ -215,16 +224,16 @@ class CellScreen(DayScreen):
             self._runs.action_read()
         if workspace.profile != self._doctor_profile and workspace.profile_path != self._doctor_path:
             self._doctor = self._doctor_profile = None
-            self.query_one("#findings", PartsView).show(())
+            self.tab("Doctor").show(())
 
     def _show_profile(self, profile: Profile | None, problem: str) -> None:
         if profile is not None:
             from cellapp.commands.doctor.view import profile_tables
 
-            self.query_one("#profile", PartsView).show(profile_tables(profile))
+            self.tab("Profile").show(profile_tables(profile))
         elif problem:
-            self.query_one("#profile", PartsView).show(problem.splitlines())
-            self.query_one("#cell-tabs", TabbedContent).active = "tab-profile"
+            self.tab("Profile").show(problem.splitlines())
+            self.tabs.active = id_of("Profile")
 
     def _verdict(self) -> tuple[str, str]:
         """Return the doctor's verdict in words, and the class that colours it."""

@@ -19,7 +19,7 @@ from textual.content import Content
 from cellapp.commands.collect.charts import drift_chart, live_drift_chart, residual_chart, standard_error_chart
 from cellapp.commands.collect.request import VERB as COLLECT
 from cellapp.commands.collect.view import collection_tables
-from cellapp.commands.docs.keys import SHOWN
+from cellapp.commands.docs.keys import SHOWN, Step
 from cellapp.commands.view.charts import Chart
 from cellapp.ground.control import Request
 from cellapp.ground.counting import counted
@@ -38,13 +38,13 @@ from cellapp.interfaces.tui.widgets.collected_stops import CollectedStops
 from cellapp.interfaces.tui.widgets.controls import Line
 from cellapp.interfaces.tui.widgets.log_pane import LogPane
 from cellapp.interfaces.tui.widgets.parts_view import PartsView
-from cellapp.interfaces.tui.workspace import Step, Workspace
+from cellapp.interfaces.tui.workspace import Workspace
 
-Look = Literal["idle", "running", "waiting", "halted", "done"]
+_Style = Literal["idle", "running", "waiting", "halted", "done"]
 
 _STOP, _PAUSE = SHOWN["stop"], SHOWN["pause"]
 _RESUMES, _ENDS = f"{_PAUSE} or {SHOWN['resume']} resumes", f"{SHOWN['abort']} ends it."
-_DOING: dict[JobState, tuple[Look, str]] = {
+_DOING: dict[JobState, tuple[_Style, str]] = {
     "running": ("running", f"{_STOP} brakes all arms; {_PAUSE} pauses after this stop; {_ENDS}"),
     "pausing": ("waiting", f"The arms rest after this stop. {_RESUMES}; {_STOP} brakes."),
     "paused": ("waiting", f"The arms rest. {_RESUMES}; {_STOP} stops; {_ENDS}"),
@@ -54,7 +54,7 @@ _DOING: dict[JobState, tuple[Look, str]] = {
 }
 
 
-Headline = tuple[str, str, Look]
+Headline = tuple[str, str, _Style]
 """A word, a sentence with what can be done, and their style."""
 
 
@@ -104,8 +104,8 @@ def _of_run(state: RunState) -> Headline:
     return (f"{word}, {measured} of {counted(measured + todo, 'stop')}", sentence, "idle")
 
 
-View = Literal["log", "plots", "stops", "collected"]
-_VIEWS: tuple[View, ...] = get_args(View)
+_View = Literal["log", "plots", "stops", "collected"]
+_VIEWS: tuple[_View, ...] = get_args(_View)
 _PLOTS = ("residuals", "errors", "drift")
 _PLOTTING_S = 1.0
 """Least time between two drawings of the plots while a job runs: they take some 10 ms each on a large screen."""
@@ -214,10 +214,10 @@ class CollectScreen(DayScreen):
     # -- views ---------------------------------------------------------------------------------------------------------
 
     @property
-    def _first_view(self) -> View:
+    def _first_view(self) -> _View:
         return "log" if self.workspace.collection is None else "stops"
 
-    def action_view(self, view: View) -> None:
+    def action_view(self, view: _View) -> None:
         """Show the log, the plots or the stored data; if plots are already shown, the next one."""
         if view == "plots" and self.has_class("plots"):
             self._plot = (self._plot + 1) % len(_PLOTS)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import ClassVar
 
 from textual.binding import BindingType
@@ -9,7 +10,7 @@ from textual.binding import BindingType
 from cellapp.commands.collect.request import VERB as COLLECT
 from cellapp.commands.discover import request
 from cellapp.commands.discover.view import found_parts, proposal_parts
-from cellapp.commands.docs.keys import SHOWN
+from cellapp.commands.docs.keys import SHOWN, Step
 from cellapp.estimation.discovery.records import DiscoverResult
 from cellapp.ground.counting import counted
 from cellapp.ground.results import DISCOVER
@@ -18,7 +19,7 @@ from cellapp.interfaces.tui.confirmations import offer_again
 from cellapp.interfaces.tui.dialogs.question import BEGIN, Choice
 from cellapp.interfaces.tui.keys import bind
 from cellapp.interfaces.tui.screens.tabs import TabsScreen
-from cellapp.interfaces.tui.workspace import Step, Workspace
+from cellapp.interfaces.tui.workspace import Workspace
 
 _NO_PROPOSAL = f"No stops are proposed. {SHOWN['add']} proposes stops that best settle what these data leave open."
 _PROPOSED = 20
@@ -36,8 +37,9 @@ class DiscoverScreen(TabsScreen):
         bind("tab", "next_tab", "Next tab"),
     ]
 
-    TABS: ClassVar[tuple[str, ...]] = ("Found", "Proposed stops")
-    EMPTY: ClassVar[str] = f"Nothing was searched yet: {SHOWN['go']} searches for missing effects."
+    TABS: ClassVar[Mapping[str, str]] = dict.fromkeys(
+        ("Found", "Proposed stops"), f"Nothing was searched yet: {SHOWN['go']} searches for missing effects."
+    )
 
     # -- keys ----------------------------------------------------------------------------------------------------------
 
@@ -74,8 +76,7 @@ class DiscoverScreen(TabsScreen):
         """Draw the discovery of the run."""
         found: DiscoverResult | None = workspace.stored(DISCOVER)
         if found is None:
-            for title in self.TABS:
-                self.tab(title).show([])
+            self.show_nothing()
             return
         self.tab("Found").show(found_parts(found), self.outdated(DISCOVER, "go", "searches again"))
         proposal = [_NO_PROPOSAL] if found.proposal is None else proposal_parts(found.proposal)

@@ -3,30 +3,29 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 from textual import on
 from textual.app import ComposeResult
 from textual.binding import BindingType
-from textual.widgets import TabbedContent, TabPane
+from textual.widgets import TabbedContent
 
-from cellapp.commands.docs.keys import SHOWN
+from cellapp.commands.docs.keys import SHOWN, Step
 from cellapp.commands.export.request import VERB as EXPORT
 from cellapp.commands.plan.request import VERB as PLAN
 from cellapp.commands.show.request import VERB as SHOW
 from cellapp.commands.show.result import Shown
-from cellapp.commands.view.table import Cell, Table, columns_of
+from cellapp.commands.view.table import Cell, Table, table_of_cells
 from cellapp.ground.counting import counted
 from cellapp.interfaces.tui import verb_jobs as verbs
 from cellapp.interfaces.tui.keys import bind
 from cellapp.interfaces.tui.run_state import RunState
-from cellapp.interfaces.tui.screens.base import DayScreen
+from cellapp.interfaces.tui.screens.tabs import TabsScreen, id_of
 from cellapp.interfaces.tui.widgets.controls import Line
-from cellapp.interfaces.tui.widgets.parts_view import PartsView
 from cellapp.interfaces.tui.widgets.tables import CellMap, TextTable
-from cellapp.interfaces.tui.workspace import Step, Workspace, new_folder
+from cellapp.interfaces.tui.workspace import Workspace, new_folder
 
 if TYPE_CHECKING:
     from cellapp.cell.planning.planned_stops import PlannedStops
@@ -44,11 +43,9 @@ _NEW = {"profile": None, "sweeps": None, "source": None, "keep": False}
 _EDITS = {"edit": False, "add": None, "replan": False, "freeze": None}
 """Fields of requests for a new plan, and for a changed one."""
 _OTHER_EXPORTS = dict.fromkeys(("csv", "joints", "points", "form", "out", "arm", "stage"))
-_NO_CHECK = f"{SHOWN['check']} checks the plan again."
-_NO_FORECAST = f"Not foreseen yet: {SHOWN['forecast']} computes time, expected errors and visible effects."
 
 
-class PlanScreen(DayScreen):
+class PlanScreen(TabsScreen):
     """Plan a run, look at its plan, check it, forecast its results."""
 
     STEP: ClassVar[Step] = "plan"
@@ -61,6 +58,13 @@ class PlanScreen(DayScreen):
         bind("tab", "next_tab", "Next tab", "show the next of the tabs"),
     ]
 
+    TABS: ClassVar[Mapping[str, str]] = {
+        **dict.fromkeys(("Limits", "Design", "Stops"), ""),
+        "Forecast": f"Not foreseen yet: {SHOWN['forecast']} computes time, expected errors and visible effects.",
+        "Check": f"{SHOWN['check']} checks the plan again.",
+        "Above": "",
+    }
+
     def __init__(self) -> None:
         super().__init__()
         self._planned: tuple[object, ...] = ()
@@ -71,19 +75,15 @@ class PlanScreen(DayScreen):
     def body(self) -> ComposeResult:
         yield Line(id="plan-state")
         yield Line(id="plan-safety")
-        with TabbedContent(id="plan-tabs", initial="tab-constraints"):
-            with TabPane("Limits", id="tab-constraints"):
-                yield PartsView(id="constraints")
-            with TabPane("Design", id="tab-design"):
-                yield PartsView(id="plan-design")
-            with TabPane("Stops", id="tab-stops"):
-                yield TextTable(id="stops", cursor_type="row")
-            with TabPane("Forecast", id="tab-forecast"):
-                yield PartsView(_NO_FORECAST, id="forecast")
-            with TabPane("Check", id="tab-check"):
-                yield PartsView(_NO_CHECK, id="refusals")
-            with TabPane("Above", id="tab-above"):
-                yield CellMap(id="plan-above")
+        yield from super().body()
+
+    def in_tab(self, title: str) -> ComposeResult:
+        if title == "Stops":
+            yield TextTable(cursor_type="row")
+        elif title == "Above":
+            yield CellMap()
+        else:
+            yield from super().in_tab(title)
 
     # -- actions -------------------------------------------------------------------------------------------------------
 
@@ -140,7 +140,6 @@ class PlanScreen(DayScreen):
         """Draw a check or a forecast."""
         from cellapp.cell.planning.records import PlanCheckResult, PlanForecastResult
 
-        tabs = self.query_one("#plan-tabs", TabbedContent)
         result = result.result if isinstance(result, Shown) and result.result is not None else result
         if isinstance(result, PlanCheckResult) and result.file is not None:
             self.read_result(result, view)
@@ -150,11 +149,11 @@ class PlanScreen(DayScreen):
         if isinstance(result, PlanCheckResult):
             self._check = result
             if result.refused:
-                tabs.active = "tab-check"
+                self.tabs.active = id_of("Check")
         elif isinstance(result, PlanForecastResult):
             self._forecast = result
-            if tabs.active in ("tab-constraints", "tab-check"):
-                tabs.active = "tab-forecast"
+            if self.tabs.active in (id_of("Limits"), id_of("Check")):
+                self.tabs.active = id_of("Forecast")
         self._draw_results()
 
     def show_run(self, workspace: Workspace) -> None:
@@ -166,10 +165,10 @@ class PlanScreen(DayScreen):
         if planned != self._planned:  # check and forecast depend on the joint positions of all stops
             self._planned, self._check, self._forecast = planned, None, None
         tables = [] if workspace.profile is None else profile_tables(workspace.profile)
-        self.query_one("#constraints", PartsView).show(tables[1:])
+        self.tab("Limits").show(tables[1:])
         for drawn in self.query(CellMap):
             drawn.show_cell(workspace.profile, _stops_of(workspace))
-        self.query_one("#plan-design", PartsView).show(() if workspace.stops is None else design_parts(workspace.stops))
+        self.tab("Design").show(() if workspace.stops is None else design_parts(workspace.stops))
         self._list_stops()
         self._draw_results()
 
@@ -183,9 +182,9 @@ class PlanScreen(DayScreen):
 
         forecast, check = self._forecast, self._check
         parts: Parts = () if forecast is None else (*forecast_sentences(forecast), *forecast_tables(forecast))
-        self.query_one("#forecast", PartsView).show(parts)
+        self.tab("Forecast").show(parts)
         refusals = [] if check is None else check_sentences(check)
-        self.query_one("#refusals", PartsView).show(refusals)
+        self.tab("Check").show(refusals)
         line = self.query_one("#plan-safety", Line)
         line.display = bool(_stops_of(self.workspace))
         if check is None:
@@ -196,7 +195,7 @@ class PlanScreen(DayScreen):
     @on(TabbedContent.TabActivated)
     def _list_stops(self) -> None:
         """List the stops while their tab is shown: words for thousands take half a second."""
-        if self._listed is not self.workspace and self.query_one("#plan-tabs", TabbedContent).active == "tab-stops":
+        if self._listed is not self.workspace and self.tabs.active == id_of("Stops"):
             self._listed, table = self.workspace, self.query_one(TextTable)
             table.show(_stops_table(_stops_of(self.workspace), self.workspace.ways), table.cursor_row)
 
@@ -205,7 +204,7 @@ def _stops_table(stops: Sequence[PlannedStop], ways: PlannedStops | None) -> Tab
     """Return the stops, counted from 1: how each is reached and what it is for, and its joint positions."""
     from cellapp.commands.plan.check_view import stop_words
 
-    rows: list[tuple[Cell, ...]] = []
+    rows = list[tuple[Cell, ...]]()
     for stop in stops:
         assert ways is not None  # a run with stops has them
         at = stop.configuration
@@ -213,7 +212,7 @@ def _stops_table(stops: Sequence[PlannedStop], ways: PlannedStops | None) -> Tab
         frozen, state = "frozen" if ways.frozen[at] else "", "measured" if stop.measured else "planned"
         rows.append((at + 1, state, frozen, str(ways.block[at] + 1), stop_words(ways, at), *joints))
     angles = [f"{name} [deg]" for name in stops[0].q] if stops else []
-    return Table("Stops", columns_of(("stop", "d"), "state", "frozen", "part", "how", *angles), tuple(rows))
+    return table_of_cells("Stops", rows, ("stop", "d"), "state", "frozen", "part", "how", *angles)
 
 
 def _stops_of(workspace: Workspace) -> Sequence[PlannedStop]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar
@@ -13,7 +13,7 @@ from textual import work as in_thread
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
 from textual.events import Resize
-from textual.widgets import DataTable, Static, TabbedContent, TabPane, Tabs
+from textual.widgets import DataTable, Static, TabbedContent, Tabs
 from textual.worker import get_current_worker
 
 from cellapp.cell.targets.targets import Target, list_problems, load_targets
@@ -32,7 +32,7 @@ from cellapp.commands.compensate.target_list import (
 )
 from cellapp.commands.compensate.view import target_parts
 from cellapp.commands.compensate.words import compensate_summary, unknown_lines, verify_lines
-from cellapp.commands.docs.keys import SHOWN
+from cellapp.commands.docs.keys import SHOWN, Step
 from cellapp.commands.push.request import VERB as PUSH
 from cellapp.commands.view.parts import Part
 from cellapp.ground.counting import counted
@@ -43,10 +43,10 @@ from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.dialogs.question import BEGIN, USE_STALE, WRITE, Choice
 from cellapp.interfaces.tui.keys import bind
 from cellapp.interfaces.tui.run_state import RunState
-from cellapp.interfaces.tui.screens.base import DayScreen
-from cellapp.interfaces.tui.widgets.parts_view import PartsView, words_first
+from cellapp.interfaces.tui.screens.tabs import TabsScreen, id_of
+from cellapp.interfaces.tui.widgets.parts_view import words_first
 from cellapp.interfaces.tui.widgets.tables import TextTable
-from cellapp.interfaces.tui.workspace import Step, Workspace
+from cellapp.interfaces.tui.workspace import Workspace
 
 EMPTY = f"No targets: {SHOWN['open']} opens a list (YAML, CSV)."
 
@@ -71,7 +71,6 @@ def why_not(workspace: Workspace, state: RunState, targets: Sequence[Target]) ->
     return f"Target '{targets[index].name}', {key}: {text}. {SHOWN['edit']} edits the list."
 
 
-_NOT_MEASURED = f"Nothing was computed yet: {SHOWN['go']} compensates, {SHOWN['measure']} pushes and verifies."
 _WIDEST = 26
 """Longest text of a cell in the list [characters]; the sentence below the list is complete."""
 _BESIDE = 6
@@ -85,7 +84,7 @@ class TargetGrid(TextTable):
     BINDINGS: ClassVar[list[BindingType]] = [Binding("enter", "select_cursor", "Target", tooltip="more of the target")]
 
 
-class TargetsScreen(DayScreen):
+class TargetsScreen(TabsScreen):
     """Targets: list, compensate, push, verify."""
 
     AUTO_FOCUS = "#grid"
@@ -102,6 +101,12 @@ class TargetsScreen(DayScreen):
         bind("tab", "next_tab", "Next tab"),
     ]
 
+    TABS: ClassVar[Mapping[str, str]] = {
+        "List": "",
+        "Target": EMPTY,
+        "Results": f"Nothing was computed yet: {SHOWN['go']} compensates, {SHOWN['measure']} pushes and verifies.",
+    }
+
     def __init__(self) -> None:
         super().__init__()
         self._path: Path | None = None
@@ -110,19 +115,15 @@ class TargetsScreen(DayScreen):
         self._attention = False
         self._rows: list[int] = []
 
-    def body(self) -> ComposeResult:
-        with TabbedContent(id="targets"):
-            with TabPane("List", id="list"):
-                yield Static("", id="about-list", markup=False)
-                grid = TargetGrid(id="grid", cursor_type="row", zebra_stripes=True)
-                tip = "Enter shows more of a target, {edit} edits the list, {open} opens another"
-                grid.tooltip = tip.format_map(SHOWN)
-                yield grid
-                yield Static("", id="about-target", classes="muted", markup=False)
-            with TabPane("Target", id="target"):
-                yield PartsView(EMPTY, id="details")
-            with TabPane("Results", id="results"):
-                yield PartsView(id="target-results")
+    def in_tab(self, title: str) -> ComposeResult:
+        if title != "List":
+            yield from super().in_tab(title)
+            return
+        yield Static("", id="about-list", markup=False)
+        grid = TargetGrid(id="grid", cursor_type="row", zebra_stripes=True)
+        grid.tooltip = "Enter shows more of a target, {edit} edits the list, {open} opens another".format_map(SHOWN)
+        yield grid
+        yield Static("", id="about-target", classes="muted", markup=False)
 
     @property
     def _grid(self) -> TargetGrid:
@@ -141,7 +142,7 @@ class TargetsScreen(DayScreen):
             self.say(self.state.no_run, "warning")
             return
         known = self._path or self.workspace.profile_path or Path.cwd() / "targets.yaml"
-        picker = FilePicker("A list of targets (YAML, CSV)", known.parent, lambda path: path.suffix in LIST_SUFFIXES)
+        picker = FilePicker("A list of targets (YAML, CSV)", known.parent, LIST_SUFFIXES)
         self.app.push_screen(picker, self._open)
 
     def action_edit(self) -> None:
@@ -178,14 +179,13 @@ class TargetsScreen(DayScreen):
     @on(DataTable.RowSelected, "#grid")
     def show_details(self) -> None:
         """Show all that is known of the target under the cursor."""
-        tabs = self.query_one("#targets", TabbedContent)
-        tabs.active = "target"
-        tabs.query_one(Tabs).focus()  # the list, which has the focus, would bring its tab back
+        self.tabs.active = id_of("Target")
+        self.query_one(Tabs).focus()  # the list, which has the focus, would bring its tab back
 
     def action_attention(self) -> None:
         """Show only targets that are refused, out of tolerance, undecided or not measured; the second time, all."""
         self._attention = not self._attention
-        self.query_one("#targets", TabbedContent).active = "list"
+        self.tabs.active = id_of("List")
         self._draw_list()
 
     # -- the jobs ------------------------------------------------------------------------------------------------------
@@ -254,13 +254,13 @@ class TargetsScreen(DayScreen):
                 )
 
         title = f"A program of a UR controller ({', '.join(PROGRAMS)})"
-        self.app.push_screen(FilePicker(title, Path.cwd(), lambda path: path.suffix in PROGRAMS), ask)
+        self.app.push_screen(FilePicker(title, Path.cwd(), PROGRAMS), ask)
 
     # -- drawing -------------------------------------------------------------------------------------------------------
 
     def show_state(self, state: RunState) -> None:
         """Say why nothing was computed."""
-        self.query_one("#target-results", PartsView).say_empty(state.nothing(self.STEP, _NOT_MEASURED))
+        self.tab("Results").say_empty(state.nothing(self.STEP, self.TABS["Results"]))
 
     def show_run(self, workspace: Workspace) -> None:
         """Draw the list with the results of the run; open the list that the profile names."""
@@ -300,20 +300,20 @@ class TargetsScreen(DayScreen):
         """Draw what is known about the target under the cursor."""
         words = target_words(self._targets[self._index], self.workspace.results) if self._rows else ""
         self.query_one("#about-target", Static).update(words)
-        if self.query_one("#targets", TabbedContent).active == "target":
+        if self.tabs.active == id_of("Target"):
             self._draw_details()
 
-    @on(TabbedContent.TabActivated, "#targets")
+    @on(TabbedContent.TabActivated)
     def _draw_details(self) -> None:
         """Draw all that the run knows of the target under the cursor, while its tab is shown."""
-        if self.query_one("#targets", TabbedContent).active != "target":
+        if self.tabs.active != id_of("Target"):
             return
         parts: list[Part] = []
         if self._rows:
             target, results = self._targets[self._index], self.workspace.results
             known = [] if results is None else target_parts(results, target_state(target, results))
             parts = [target_words(target, results), *known]
-        self.query_one("#details", PartsView).show(words_first(parts))
+        self.tab("Target").show(words_first(parts))
 
     def _shown_rows(self) -> list[int]:
         """Return the indices of the shown targets."""
@@ -332,7 +332,7 @@ class TargetsScreen(DayScreen):
         if results is not None and (compensate := results.compensate) is not None:
             words = (*compensate_summary(compensate), *unknown_lines(compensate.targets), *compensate.notes)
             parts += [*words, *stored_tables(compensate)]
-        self.query_one("#target-results", PartsView).show(words_first(parts))
+        self.tab("Results").show(words_first(parts))
 
 
 def _fitting(widths: Sequence[int], room: int) -> int:

@@ -15,7 +15,15 @@ from textual.reactive import reactive
 from textual.widget import Widget
 
 from cellapp.ground.progress import CellLive
-from cellapp.interfaces.tui.job_record import HALT_WORDS, Activity, ArmRecord, Look, TrackerRecord, banner_of, strip_of
+from cellapp.interfaces.tui.job_record import (
+    HALT_WORDS,
+    Activity,
+    ArmRecord,
+    Freshness,
+    TrackerRecord,
+    banner_of,
+    strip_of,
+)
 from cellapp.interfaces.tui.widgets.controls import Line
 
 _STYLES: Mapping[Activity, str] = {
@@ -114,7 +122,7 @@ def tracker_words(tracker: TrackerRecord) -> str:
     return " · ".join(parts) or "has measured nothing yet"
 
 
-_STRIP_STYLES: Mapping[Look, str] = {
+_STRIP_STYLES: Mapping[Freshness, str] = {
     "fresh": "$text-success",
     "late": "bold $text-warning",
     "lost": "bold white on $error",

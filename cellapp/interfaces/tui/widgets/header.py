@@ -8,10 +8,10 @@ from rich.cells import cell_len
 from textual.app import ComposeResult
 from textual.containers import Horizontal
 
+from cellapp.commands.docs.keys import Step
 from cellapp.interfaces.tui.run_state import SIGNS, Mark, RunState
 from cellapp.interfaces.tui.screens import SCREENS
 from cellapp.interfaces.tui.widgets.controls import Line, StopButton
-from cellapp.interfaces.tui.workspace import Step
 
 _BADGES: Mapping[str, str] = {"none": "NO ARMS", "real": "REAL ARMS"}
 """Badge of a kind of cell, if it is not the kind itself."""
