@@ -99,14 +99,15 @@ def design_stops(
     before = 0 if kept is None else len(kept)
     rng = np.random.default_rng([profile.seed, _SEED, before])
     finder, pools = TransitPlanner(profile, cell, rng), {}
-    for number, name in enumerate(cell.arms):
-        job.tell("candidates", number, len(cell.arms), f"arm {name}")
-        pools[name] = _pool(profile, _with_room(cell), finder.roadmaps[name], name, count, rng, job)
-    job.tell("candidates", len(cell.arms), len(cell.arms), "done")
-    spares = max(_LEAST_SPARES, math.ceil(_SPARE_SHARE * count))  # for stops that cannot be reached from the others
-    chosen = select_stops(profile, pools, count + spares, rng, job, None if kept is None else kept.q)
-    stops, given_up = _in_order(chosen, count, kept, finder, rng, job)
-    return stops, _described(stops, given_up, pools, finder, job)
+    with one_blas_thread():  # the products are narrow, and the arms have a core each
+        for number, name in enumerate(cell.arms):
+            job.tell("candidates", number, len(cell.arms), f"arm {name}")
+            pools[name] = _pool(profile, _with_room(cell), finder.roadmaps[name], name, count, rng, job)
+        job.tell("candidates", len(cell.arms), len(cell.arms), "done")
+        spares = max(_LEAST_SPARES, math.ceil(_SPARE_SHARE * count))  # for stops that cannot be reached from the others
+        chosen = select_stops(profile, pools, count + spares, rng, job, None if kept is None else kept.q)
+        stops, given_up = _in_order(chosen, count, kept, finder, rng, job)
+        return stops, _described(stops, given_up, pools, finder, job)
 
 
 def _with_room(cell: CellBodies) -> CellBodies:
@@ -219,8 +220,7 @@ def of_each_arm(
     long arrays run outside the interpreter lock. Raises what ``work`` raises for the first arm that fails.
     """
     names = tuple(names)
-    # linear algebra keeps to one thread: its products are narrow, and the arms have a core each
-    with one_blas_thread(), ThreadPoolExecutor(max_workers=_AT_ONCE) as threads:
+    with ThreadPoolExecutor(max_workers=_AT_ONCE) as threads:
         return dict(zip(names, threads.map(work, names, rng.spawn(len(names))), strict=True))
 
 
@@ -475,19 +475,18 @@ def arm_design(
     """
     q = stops[name]
     n = len(q)
-    with one_blas_thread():
-        judge = DesignJudge.of(profile, name, stops, rng, job)
-        rows = judge.rows(q)
-        parts = [*(part for part in _PARTS if part < n), n]
-        sizes = {min(round(ratio * n), len(judge.random)) for ratio in _LARGER}
-        random = judge.random_plans(sorted({*parts, *sizes}))
-        geometry = judge.determined(random[n][1])
-        by_stops = []
-        for part in parts:
-            information = information_of(rows[:part])
-            designed = judge.errors(information)  # at last that of all stops
-            indices = observability(information, geometry, part)
-            by_stops.append(_quality(part, designed, random[part][0], indices))
+    judge = DesignJudge.of(profile, name, stops, rng, job)
+    rows = judge.rows(q)
+    parts = [*(part for part in _PARTS if part < n), n]
+    sizes = {min(round(ratio * n), len(judge.random)) for ratio in _LARGER}
+    random = judge.random_plans(sorted({*parts, *sizes}))
+    geometry = judge.determined(random[n][1])
+    by_stops = []
+    for part in parts:
+        information = information_of(rows[:part])
+        designed = judge.errors(information)  # at last that of all stops
+        indices = observability(information, geometry, part)
+        by_stops.append(_quality(part, designed, random[part][0], indices))
     equal, of_random = random[n]
     return ArmDesign(
         candidates=len(pool.q),
