@@ -46,6 +46,8 @@ INDEPENDENT = 4000, 1
 COMBINED = 64, 16
 """The same where the first joints of each draw of a group are combined with the other joints of each, so that the
 trigonometry is done once for many configurations; what is computed from them fits in the cache."""
+_NEIGHBOURS = 12
+"""Samples about each configuration; half of them are usable."""
 _MOST_SAMPLES = 800_000
 _MOST_SAMPLES_PER_CANDIDATE = 400
 """Samples after which the search ends: four times the number that a candidate takes in the twin cell, some seconds."""
@@ -102,6 +104,18 @@ def sample_pool(
     q = np.concatenate([one.q for one in found])[rng.permutation(number)[:count]]
     rejected = {constraint: sum(one.rejected[constraint] for one in found) for constraint in found[0].rejected}
     return CandidatePool(q, sampled, rejected)
+
+
+def neighbours(
+    cell: CellBodies, profile: Profile, name: str, q: Array, spread: float, rng: np.random.Generator
+) -> Array:
+    """Sample usable configurations (m, N) [rad] of an arm about those ``q`` (n, N): each joint that may move differs
+    with a standard deviation ``spread`` [rad]."""
+    low, high = joint_ranges(cell, profile, name).T if profile.plan.ranges is not None else cell.arms[name].limits.T
+    near = np.repeat(q, _NEIGHBOURS, axis=0)
+    near += rng.normal(0.0, spread, near.shape) * (high > low)
+    inside = np.all((near >= low) & (near <= high), axis=1)
+    return _usable(cell, name, near[inside, None]).q
 
 
 def random_configurations(

@@ -25,6 +25,7 @@ from cellapp.cell.planning.balance import correlations, travel_time
 from cellapp.cell.planning.candidates import (
     COMBINED,
     CandidatePool,
+    neighbours,
     random_configurations,
     sample_pool,
     workspace_configurations,
@@ -95,20 +96,23 @@ def design_stops(
     Cancelled
     """
     cell = cell_bodies(profile)
-    # the gate samples motions: a configuration at the very limit could not be reached
-    roomy = replace(cell, clearance=cell.clearance + 0.5 * sample_spacing(cell))
     before = 0 if kept is None else len(kept)
     rng = np.random.default_rng([profile.seed, _SEED, before])
     finder, pools = TransitPlanner(profile, cell, rng), {}
-    for number, name in enumerate(cell.arms):
-        job.tell("candidates", number, len(cell.arms), f"arm {name}")
-        pools[name] = _pool(profile, roomy, finder.roadmaps[name], name, count, rng, job)
-    job.tell("candidates", len(cell.arms), len(cell.arms), "done")
-    spares = max(_LEAST_SPARES, math.ceil(_SPARE_SHARE * count))  # for stops that cannot be reached from the others
-    rows = select_stops(profile, pools, count + spares, rng, job, None if kept is None else kept.q)
-    chosen = {name: pool.q[rows[name]] for name, pool in pools.items()}
-    stops, given_up = _in_order(chosen, count, kept, finder, rng, job)
-    return stops, _described(stops, given_up, pools, finder, job)
+    with one_blas_thread():  # the products are narrow, and the arms have a core each
+        for number, name in enumerate(cell.arms):
+            job.tell("candidates", number, len(cell.arms), f"arm {name}")
+            pools[name] = _pool(profile, _with_room(cell), finder.roadmaps[name], name, count, rng, job)
+        job.tell("candidates", len(cell.arms), len(cell.arms), "done")
+        spares = max(_LEAST_SPARES, math.ceil(_SPARE_SHARE * count))  # for stops that cannot be reached from the others
+        chosen = select_stops(profile, pools, count + spares, rng, job, None if kept is None else kept.q)
+        stops, given_up = _in_order(chosen, count, kept, finder, rng, job)
+        return stops, _described(stops, given_up, pools, finder, job)
+
+
+def _with_room(cell: CellBodies) -> CellBodies:
+    """Enlarge the clearance: the gate samples motions, and a configuration at the very limit could not be reached."""
+    return replace(cell, clearance=cell.clearance + 0.5 * sample_spacing(cell))
 
 
 def _described(
@@ -216,8 +220,7 @@ def of_each_arm(
     long arrays run outside the interpreter lock. Raises what ``work`` raises for the first arm that fails.
     """
     names = tuple(names)
-    # linear algebra keeps to one thread: its products are narrow, and the arms have a core each
-    with one_blas_thread(), ThreadPoolExecutor(max_workers=_AT_ONCE) as threads:
+    with ThreadPoolExecutor(max_workers=_AT_ONCE) as threads:
         return dict(zip(names, threads.map(work, names, rng.spawn(len(names))), strict=True))
 
 
@@ -226,6 +229,9 @@ def of_each_arm(
 
 _POINTS = 600
 """Configurations that represent the workspace: the mean is then known to 2 %, the worst point to a few percent."""
+_SPREAD = 0.1
+"""Standard deviation of each joint about the stops chosen so far, of the candidates that join for the first pass of
+exchanges; half of it for the second [rad]. A random pool of equal quality is four times as large."""
 
 
 def select_stops(
@@ -235,8 +241,9 @@ def select_stops(
     rng: np.random.Generator,
     job: JobToken = UNATTENDED,
     kept: Mapping[str, Array] | None = None,
-) -> dict[str, Rows]:
-    """Choose ``count`` candidates of each arm, fewer where its pool has fewer; the most informative first.
+) -> dict[str, Array]:
+    """Choose ``count`` configurations (n, N) [rad] of each arm, its candidates or near the best of them, the most
+    informative first; fewer where its pool has fewer.
 
     Each arm has its own thread and its own stream of random numbers, spawned from ``rng``: the result does not depend
     on which is faster. ``kept`` are configurations (k, N) [rad] of each arm that are in the plan already: their
@@ -257,7 +264,7 @@ def select_stops(
         done[name] = number
         job.tell("select", min(sum(done.values()), total), total, arms)
 
-    def choose(name: str, own_rng: np.random.Generator) -> Rows:
+    def choose(name: str, own_rng: np.random.Generator) -> Array:
         own = None if kept is None else kept.get(name)
         return _select(profile, name, q, count, own, own_rng, JobSteps(partial(tell, name), job))
 
@@ -275,25 +282,33 @@ def _select(
     kept: Array | None,
     rng: np.random.Generator,
     steps: JobSteps,
-) -> Rows:
-    """Choose candidates of one arm; ``pools`` are the configurations of all arms."""
-    q = pools[name]
+) -> Array:
+    """Choose configurations of one arm; ``pools`` are the candidates of all arms."""
+    q, cell = pools[name], cell_bodies(profile)
     if not count or not len(q):
-        return np.arange(0)
+        return q[:0]
     conditions = even_conditions(profile, name, q, pools, rng)
     model = information_model(profile, name, q, conditions)
     kept = np.empty((0, q.shape[1])) if kept is None else kept
     before = model.rows(kept, even_conditions(profile, name, kept, pools, rng))
     candidates = Candidates(model.rows(q, conditions, np.float32), np.eye(len(model.size)) + information_of(before))
-    targets = workspace_configurations(profile, cell_bodies(profile), name, _POINTS, rng)
+    targets = workspace_configurations(profile, cell, name, _POINTS, rng)
     criterion = Criterion(
         reference_errors(candidates.mean_information, count, candidates.prior, model.wanted),
         model.prediction_rows(targets, even_conditions(profile, name, targets, pools, rng)),
     )
-    chosen = choose_blocks(candidates, count, criterion, rng, steps)
+
+    def grown(chosen: Rows, number: int) -> Candidates:
+        nonlocal q, candidates
+        near = neighbours(_with_room(cell), profile, name, q[chosen], _SPREAD / (1 + number), rng)
+        rows = model.rows(near, even_conditions(profile, name, near, pools, rng), np.float32)
+        q, candidates = np.concatenate([q, near]), replace(candidates, rows=np.concatenate([candidates.rows, rows]))
+        return candidates
+
+    chosen = choose_blocks(candidates, count, criterion, rng, steps, grown)
     limits = gap_limits(q, len(chosen) + len(kept), profile.plan.largest_gap)
     chosen = close_gaps(candidates, q, chosen, criterion, limits, without_turns(kept, q), rng, steps)
-    return least_informative_last(candidates, chosen, criterion)
+    return q[least_informative_last(candidates, chosen, criterion)]
 
 
 _QUALITY_POINTS = 600
@@ -460,19 +475,18 @@ def arm_design(
     """
     q = stops[name]
     n = len(q)
-    with one_blas_thread():
-        judge = DesignJudge.of(profile, name, stops, rng, job)
-        rows = judge.rows(q)
-        parts = [*(part for part in _PARTS if part < n), n]
-        sizes = {min(round(ratio * n), len(judge.random)) for ratio in _LARGER}
-        random = judge.random_plans(sorted({*parts, *sizes}))
-        geometry = judge.determined(random[n][1])
-        by_stops = []
-        for part in parts:
-            information = information_of(rows[:part])
-            designed = judge.errors(information)  # at last that of all stops
-            indices = observability(information, geometry, part)
-            by_stops.append(_quality(part, designed, random[part][0], indices))
+    judge = DesignJudge.of(profile, name, stops, rng, job)
+    rows = judge.rows(q)
+    parts = [*(part for part in _PARTS if part < n), n]
+    sizes = {min(round(ratio * n), len(judge.random)) for ratio in _LARGER}
+    random = judge.random_plans(sorted({*parts, *sizes}))
+    geometry = judge.determined(random[n][1])
+    by_stops = []
+    for part in parts:
+        information = information_of(rows[:part])
+        designed = judge.errors(information)  # at last that of all stops
+        indices = observability(information, geometry, part)
+        by_stops.append(_quality(part, designed, random[part][0], indices))
     equal, of_random = random[n]
     return ArmDesign(
         candidates=len(pool.q),

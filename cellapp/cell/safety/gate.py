@@ -35,7 +35,7 @@ from cellapp.cell.safety.bodies import (
     sight_conditions,
     sight_of,
 )
-from cellapp.cell.safety.shapes import ObstacleBody, beam_gaps, box_about
+from cellapp.cell.safety.shapes import ObstacleBody, beam_gaps
 from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.kinematics.transforms import Array, rows_at
 
@@ -566,38 +566,31 @@ def _heights_free(cell: CellBodies, paths: Paths) -> tuple[Bools, str]:
 
 
 def _obstacles_free(cell: CellBodies, paths: Paths) -> tuple[Bools, str]:
-    refusals = [_refuse_obstacles(cell, paths.take(np.array([row]))) for row in range(len(paths.count))]
-    return np.array([not one for one in refusals], dtype=np.bool_), next(filter(None, refusals), "")
-
-
-def _refuse_obstacles(cell: CellBodies, path: Paths) -> str:
-    """Return why an arm must not follow one path because of obstacles; empty if it may."""
-    bodies, clearances = path.coarse_bodies, cell.obstacle_clearances[path.arm]
-    deviations = path.arm.body_levers @ path.half_step[0]
-    low, high = box_about(bodies.start, bodies.end, bodies.radius)
-    spread = (STRIDE + 1) * deviations  # from any point of the path to the nearest coarse sample
-    unclear, near = np.zeros(len(bodies.smr), dtype=bool), []
+    clearances, bodies = cell.obstacle_clearances[paths.arm], paths.coarse_bodies
+    deviations = paths.half_step @ paths.arm.body_levers.T
+    spread = ((STRIDE + 1) * deviations)[paths.coarse[0]]  # from any point of a path to the nearest coarse sample
+    unclear, near = np.zeros(len(bodies.smr), dtype=np.bool_), []
     for obstacle, asked in zip(cell.obstacles, clearances, strict=True):
-        needed = asked + spread
-        if obstacle.far(low, high, float(needed.max())):
-            continue
-        gaps = obstacle.gaps(bodies.start, bodies.end, bodies.radius, needed)
-        rows = np.any(~(gaps >= needed), axis=1)
+        gaps = obstacle.gaps(bodies.start, bodies.end, bodies.radius, asked + spread)
+        rows = np.any(~(gaps >= asked + spread), axis=1)
         if rows.any():
             unclear |= rows
             near.append((obstacle, asked))
-    if not near:
-        return ""
-    bodies = path.placed(*path.around(unclear))
+    path, sample = paths.around(unclear)
+    bodies, free, refusal = paths.placed(path, sample), np.ones(len(paths.count), dtype=np.bool_), ""
+    refused = len(free)
     for obstacle, asked in near:
-        needed = asked + deviations
+        needed = (asked + deviations)[path]
         gaps = obstacle.gaps(bodies.start, bodies.end, bodies.radius, needed)
-        if not (gaps >= needed).all():
-            k = int(np.argmin(np.min(gaps - needed, axis=0)))
-            gap, hidden = float(gaps[:, k].min()), float(deviations[k])
+        low = path[np.any(~(gaps >= needed), axis=1)]
+        free[low] = False
+        if len(low) and low[0] < refused:
+            refused, its = int(low[0]), path == low[0]
+            k = int(np.argmin(np.min((gaps - needed)[its], axis=0)))
+            gap, hidden = float(gaps[its, k].min()), float(deviations[refused, k])
             words = _too_near("comes", gap, hidden, float(asked[k]), f"obstacle '{obstacle.name}'")
-            return _carried(path.arm, k) + words
-    return ""
+            refusal = _carried(paths.arm, k) + words
+    return free, refusal
 
 
 def _itself_free(cell: CellBodies, paths: Paths) -> tuple[Bools, str]:

@@ -302,20 +302,9 @@ class ObstacleBody:
     pose: Array
     base_of: str | None = None
 
-    @cached_property
-    def reach(self) -> Array:
-        """Half the sizes, (3,) [m], of its bounding box along the axes of the frame in which the pose is given."""
-        return np.asarray(np.abs(self.pose[:3, :3]) @ self.shape.half)
-
     def moved(self, T_A_B: Array) -> ObstacleBody:
         """Return the obstacle with its pose in frame A instead of B."""
         return ObstacleBody(self.name, self.shape, T_A_B @ self.pose, self.base_of)
-
-    def far(self, low: Array, high: Array, distance: float) -> bool:
-        """Return whether all points between the corners ``low`` and ``high`` (3,) are farther than ``distance`` [m]."""
-        centre = self.pose[:3, 3]
-        apart = np.maximum(low - centre, centre - high) - self.reach
-        return bool(np.max(apart) > distance)
 
     def gaps(self, start: Array, end: Array, radius: Array | float, within: Array | float) -> Array:
         """Compute distances [m] of capsules from the obstacle; zero or negative where they meet it.
@@ -339,14 +328,6 @@ class ObstacleBody:
         if near.any():
             gaps[near] = self.shape.segment_distance(a[near], b[near]) - np.broadcast_to(radius, gaps.shape)[near]
         return gaps
-
-
-def box_about(start: Array, end: Array, radius: Array) -> tuple[Array, Array]:
-    """Compute the corners (3,) of the bounding box of all capsules: ends (n, m, 3), radius (m,) [m]."""
-    thickness = radius[:, None]
-    low = (np.minimum(start.min(axis=0), end.min(axis=0)) - thickness).min(axis=0)
-    high = (np.maximum(start.max(axis=0), end.max(axis=0)) + thickness).max(axis=0)
-    return low, high
 
 
 def beam_gaps(obstacles: Sequence[ObstacleBody], source: Array, target: Array, within: float) -> Array:

@@ -104,13 +104,13 @@ def new_planned_run(
         profile = profile.model_copy(update={"plan": plan})
 
     def fill(run: RunFile) -> None:
-        with one_blas_thread():
-            stops = plan_run(run, job)
-            if sweeps is not None:
+        stops = plan_run(run, job)
+        if sweeps is not None:
+            with one_blas_thread():
                 planned = plan_sweeps(profile, stops, job)
-                run.write_document(SWEEPS_RESULT, planned.model_dump_json())
-                for note in planned.notes:
-                    run.log("note", note)
+            run.write_document(SWEEPS_RESULT, planned.model_dump_json())
+            for note in planned.notes:
+                run.log("note", note)
 
     return RunFile.create(folder, profile, fill)
 

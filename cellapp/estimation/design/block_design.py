@@ -19,7 +19,7 @@ are updated by matrices of rank three (Woodbury). From time to time all are comp
 from __future__ import annotations
 
 import math
-from copy import copy
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -32,10 +32,10 @@ from cellapp.robot.kinematics.transforms import Array
 
 WORST_POWER = 12.0
 """h: with it the largest of some hundred uncertainties dominates, and those within a few per cent of it count too."""
-SHARES = (1.0, 1.0, 3.0)
+SHARES = (1.5, 1.0, 3.0)
 """Exponents a, b, c of the three errors in the criterion. A larger share improves the worst point while the two others
 hardly lose: at 1 a design of 100 stops is worth 205 random ones there, at 3 or more 245, with the parameters at 142
-throughout."""
+throughout. With 1.5 for the parameters, these gain what a choice near the best stops would lose."""
 _ROWS_AT_ONCE = 6000
 """Batch size of rows for conversion of precision and products."""
 _ROWS_CHANGED = 300
@@ -166,10 +166,7 @@ class BlockDesign:
         return trace_of_solution(self._V, self._U, sign)
 
     def change(self, rows: Array, sign: float = 1.0) -> None:
-        """Add candidates by their ``rows`` (3 k, p), or remove them with ``sign`` -1.
-
-        A shallow copy made before may be used in place of this design.
-        """
+        """Add candidates by their ``rows`` (3 k, p), or remove them with ``sign`` -1."""
         if self._changed + len(rows) > _ROWS_CHANGED:
             self._update()
         rows, end = rows.astype(np.float64), self._changed
@@ -184,6 +181,15 @@ class BlockDesign:
         self._V = self._V - _products(by_Cx, by_G)
         half = _products(by_G, by_B)
         self._U = self._U - (half + half.transpose(0, 2, 1))
+
+    def add_best(self, count: int) -> Rows:
+        """Add tracked candidates, one after the other the one with the largest gain; return their indices."""
+        chosen, outside = list[int](), np.zeros(len(self._V))
+        for _ in range(count):
+            chosen.append(int(np.argmax(self.gains() + outside)))
+            outside[chosen[-1]] = -np.inf
+            self.change(self._rows[3 * chosen[-1] : 3 * chosen[-1] + 3])
+        return np.array(chosen, dtype=np.intp)
 
 
 def _products(first: Array, second: Array) -> Array:
@@ -205,7 +211,7 @@ def trace_of_solution(V: Array, U: Array, sign: float) -> Array:
 
 SUBSET = 600
 """Number of candidates looked at for each batch of the first choice."""
-PASSES = 3
+PASSES = 2
 """Largest number of passes of exchanges, each with new weights W: as with the subset, the result improves slowly."""
 _BATCHES = 12
 """Number of batches of the first choice; each draws a new subset."""
@@ -220,13 +226,13 @@ _FOLLOWED = 50
 """Number of tracked candidates, or two for each stop of a batch: with fewer, the best for a later one may be missing.
 """
 _EXCHANGED_AT_ONCE = 40
-"""Number of exchanges with the same tracked candidates."""
+"""Number of stops that are taken away at once: one update, where one by one took as many as there are stops."""
 _PROMISING = 400
 """Most promising candidates of a pass of exchanges, in addition to the number of chosen ones."""
 _NEXT = 4
 """Of the candidates, so many times as many are looked at by the next pass."""
-_LEAST_GAIN = 0.004
-"""A pass ends where exchanges with the same tracked candidates gain less of J: the stops that follow tell more."""
+_LEAST_NEW = 0.2
+"""A pass ends where a smaller share of the stops is exchanged for others: those that follow tell more."""
 _MISSED = 0.3
 """Share of the stops that is ordered: spare ones, reserves, and those in whose place others are repeated."""
 _LIKELY_MISSED = 2
@@ -267,10 +273,16 @@ class Candidates:
 
 
 def choose_blocks(
-    candidates: Candidates, count: int, criterion: Criterion, rng: np.random.Generator, steps: JobSteps = UNTOLD
+    candidates: Candidates,
+    count: int,
+    criterion: Criterion,
+    rng: np.random.Generator,
+    steps: JobSteps = UNTOLD,
+    grown: Callable[[Rows, int], Candidates] | None = None,
 ) -> Rows:
     """Choose ``count`` candidates by greedy selection and exchange; return their indices, all if there are no more.
 
+    Given the present choice and the number of a pass of exchanges, ``grown`` appends candidates for it.
     ``steps`` are told how many were chosen so far, then ``count`` more for those whose exchange was tried.
     """
     if count >= len(candidates):
@@ -278,7 +290,10 @@ def choose_blocks(
     random = candidates.prior + candidates.mean_information * count
     chosen = _greedy(candidates, count, criterion.weights(inverse_psd(random)), rng, steps)
     best, among = criterion.value(candidates.covariance(chosen)), np.arange(len(candidates))
-    for _ in range(PASSES):
+    for number in range(PASSES):
+        if grown is not None:
+            before, candidates = len(candidates), grown(chosen, number)
+            among = np.append(among, np.arange(before, len(candidates)))
         exchanged, among = _exchanged(candidates, chosen, among, criterion, steps)
         value = criterion.value(candidates.covariance(exchanged))
         if value >= best:  # only the linear criterion improved
@@ -310,14 +325,9 @@ def _greedy(candidates: Candidates, count: int, W: Array, rng: np.random.Generat
         design = BlockDesign(information, W)
         among = rng.permutation(np.flatnonzero(free))[: max(SUBSET, 2 * size)]
         among = among[design.screened(candidates.rows[among], max(_FOLLOWED, 2 * size))]
-        rows, outside = candidates.rows[among], np.zeros(len(among))
-        design.track(rows)
+        design.track(candidates.rows[among])
         # smaller batches at the beginning, where gains change most
-        for _ in range(min(size, max(_FIRST_BATCH, before), count - before)):
-            best = int(np.argmax(design.gains() + outside))
-            outside[best] = -np.inf
-            design.change(rows[best])
-        come = among[outside < 0.0]
+        come = among[design.add_best(min(size, max(_FIRST_BATCH, before), count - before))]
         free[come] = False
         before += len(come)
         steps(before, "choice")
@@ -328,7 +338,9 @@ def _greedy(candidates: Candidates, count: int, W: Array, rng: np.random.Generat
 def _exchanged(
     candidates: Candidates, chosen: Rows, among: Rows, criterion: Criterion, steps: JobSteps
 ) -> tuple[Rows, Rows]:
-    """Exchange each chosen stop, that of least information first, for the best other candidate or itself.
+    """Take the chosen stops away, some at a time, and add the best of these and of the other candidates instead.
+
+    Those of least information come first.
 
     Return the new choice and the most promising ``among`` the candidates, for the next pass.
     """
@@ -345,24 +357,11 @@ def _exchanged(
         coming = promising[free[promising]]
         coming = coming[design.screened(candidates.rows[coming], _FOLLOWED)]
         looked_at = np.concatenate([leaving, coming])
-        rows, outside = candidates.rows[looked_at], np.where(free[looked_at], 0.0, -np.inf)
-        design.track(rows)
-        gained = 0.0
-        for place in range(len(leaving)):
-            if outside[place] == 0.0:
-                continue
-            before = copy(design)
-            design.change(rows[place], -1.0)
-            outside[place] = 0.0
-            gains = design.gains() + outside
-            best = int(np.argmax(gains))
-            outside[best], gained = -np.inf, gained + float(gains[best] - gains[place])
-            if best == place:
-                design = before
-            else:
-                design.change(rows[best])
-        free[looked_at] = outside == 0.0
-        if gained < _LEAST_GAIN:
+        design.track(candidates.rows[looked_at])
+        design.change(candidates.rows[leaving].reshape(-1, candidates.rows.shape[2]), -1.0)
+        come = design.add_best(len(leaving))
+        free[leaving], free[looked_at[come]] = True, False
+        if np.sum(come >= len(leaving)) < _LEAST_NEW * len(leaving):
             break
     return np.flatnonzero(~free), among
 

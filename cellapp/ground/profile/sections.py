@@ -136,8 +136,8 @@ class Collection(Section):
 
 # -- The profile's section ``plan``: number of stops, what keeps them safe, what they shall tell ----------------------
 
-CANDIDATES_PER_STOP = 50
-MOST_CANDIDATES = 20_000
+CANDIDATES_PER_STOP, OF_SMALL_PLANS = 12, 50
+ENOUGH_CANDIDATES, MOST_CANDIDATES = 5_000, 20_000
 
 
 class Plan(Section):
@@ -179,7 +179,9 @@ class Plan(Section):
     @property
     def pool_size(self) -> int:
         """Number of candidate configurations of each arm."""
-        return self.candidates or min(CANDIDATES_PER_STOP * (self.stops + self.reserve), MOST_CANDIDATES)
+        stops = self.stops + self.reserve
+        of_large = min(CANDIDATES_PER_STOP * stops, MOST_CANDIDATES)
+        return self.candidates or min(OF_SMALL_PLANS * stops, max(ENOUGH_CANDIDATES, of_large))
 
     def reserves(self, total: int) -> range:
         """Return the numbers of the reserve stops in a plan of ``total`` stops: they follow the asked ones."""

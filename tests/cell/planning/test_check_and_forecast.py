@@ -22,6 +22,7 @@ from cellapp.cell.planning.view import check_plan_run, forecast_run
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import cell_bodies
+from cellapp.cell.safety.gate import visible
 from cellapp.commands.plan.check_view import check_sentences, forecast_sentences, forecast_tables
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.ground.errors import InputError
@@ -235,15 +236,17 @@ def test_each_stop_is_chosen_once_and_the_seed_decides(
     twin: Profile, pools: Pools, chosen: Mapping[str, np.ndarray]
 ) -> None:
     again = select_stops(twin, pools, COUNT, np.random.default_rng(1))
-    for name, rows in chosen.items():
-        assert len(set(rows.tolist())) == COUNT
-        np.testing.assert_array_equal(again[name], rows)
+    for name, q in chosen.items():
+        assert len(np.unique(q, axis=0)) == COUNT
+        assert not set(map(tuple, q)) <= set(map(tuple, pools[name].q))  # some are near candidates instead
+        assert visible(cell_bodies(twin), name, q).all()
+        np.testing.assert_array_equal(again[name], q)
 
 
 def test_a_pool_may_be_smaller_than_the_plan(twin: Profile, pools: Pools) -> None:
     few = {name: replace(pool, q=pool.q[:12]) for name, pool in pools.items()}
-    rows = select_stops(twin, few, COUNT, np.random.default_rng(1))
-    assert {name: sorted(found.tolist()) for name, found in rows.items()} == {name: list(range(12)) for name in few}
+    for name, q in select_stops(twin, few, COUNT, np.random.default_rng(1)).items():
+        np.testing.assert_array_equal(np.unique(q, axis=0), np.unique(few[name].q, axis=0))
     assert not len(select_stops(twin, few, 0, np.random.default_rng(1))["left"])
 
 
@@ -262,8 +265,8 @@ CELLS = {
 def test_any_cell_can_be_designed(cell: str) -> None:
     profile = CELLS[cell]
     pools = drawn(profile, 120)
-    rows = select_stops(profile, pools, 20, np.random.default_rng(1))
-    assert {name: len(set(found.tolist())) for name, found in rows.items()} == dict.fromkeys(profile.arms, 20)
+    chosen = select_stops(profile, pools, 20, np.random.default_rng(1))
+    assert {name: len(np.unique(q, axis=0)) for name, q in chosen.items()} == dict.fromkeys(profile.arms, 20)
     coupled = any(part.slug == "pedestal_coupling" for part in model_of(profile, pools, next(iter(pools))).parts)
     assert coupled == (len(profile.arms) == 2)
 
