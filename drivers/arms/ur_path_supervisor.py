@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -86,27 +87,30 @@ class PathSupervisor(Supervisor):
             return
         try:
             accepted = self._control.servo(stream.goal, stream.period_s, stream.lookahead_s, stream.gain)
-        except Refusal as refusal:  # the client's words; its link may just have broken
-            self._not_streamed(refusal)
+        except Refusal as refusal:  # its link may just have broken, or its arm have stopped
+            self._streamed = None
+            with suppress(Refusal):
+                self._require_ready(self._states.next())
+                self._record_fault(refusal)
             return
         if self._application.braked:  # the brake may have come before the position was sent
             self.take_brake()
             self._stop_program()
         elif not accepted:
             self._states.check_links()
-            self._not_streamed(failed(_NOT_TAKEN))
+            self._not_streamed()
         else:
             self._kicks.kicked(now)
             stream.note_sent(now)
 
-    def _not_streamed(self, refusal: Refusal) -> None:
-        """Record why a position was not accepted: ``refusal`` if arm, links and control program show no reason."""
+    def _not_streamed(self) -> None:
+        """Record why the control program did not accept a position."""
         self._streamed = None  # send no further position while the reason is determined
         try:
             self._require_ready(self._states.next())
         except Refusal:
             return  # recorded
-        self._not_served(refusal)
+        self._not_served(failed("the control program did not take a position of the path"))
 
     def _meanwhile(self) -> None:
         super()._meanwhile()
@@ -131,7 +135,7 @@ class PathSupervisor(Supervisor):
         elif stream.arrived(sample, time.monotonic(), self._rest.speed):
             self._end_motion(motion, now)
             if not self._control.end_servo() and not self._application.braked:
-                self._not_streamed(failed(_NOT_TAKEN))
+                self._not_streamed()
 
 
 # -- A stream of joint positions that a UR arm's worker sends, one each control cycle (``servoj``) --------------------
@@ -141,7 +145,6 @@ class PathSupervisor(Supervisor):
 
 SLIDER_UP = 0.995
 """Smallest speed slider for a path, 100 %: a controller that scales time does not follow the positions."""
-_NOT_TAKEN = "the control program did not take a position of the path"
 LATE_S = 0.1
 """Delay of the next position after which the stream is aborted: the arm has stood still in the middle of the path."""
 _FOLLOWS_WITHIN_S = 0.3

@@ -273,18 +273,18 @@ class Supervisor:
         number, _ = self._control.operation()
         self._require_not_braked()
         self._unrest.begin()
-        refusal = failed("the control program did not take the motion")
         try:
             accepted = self._control.move(goal, speed, acceleration)
-        except Refusal as clients:  # its link may just have broken
-            accepted, refusal = False, clients
+        except Refusal:  # its link may just have broken, or its arm have stopped
+            self._require_ready(self._states.next())
+            raise
         if self._application.braked:  # the brake may have come before the motion began
             stopped = self._stopped()
             self._stop_program()
             raise stopped
         if not accepted:
             self._require_ready(self._states.next())
-            raise self._not_served(refusal)
+            raise self._not_served(failed("the control program did not take the motion"))
         self._states.check_links()  # the client may report success on a link that has just broken
         self._kicks.kicked(time.monotonic())
         self._resting_since, self._cut_short = None, False

@@ -220,8 +220,8 @@ class Mover:
 
         Raise as ``positions``.
         """
-        others = [q for other, q in self.positions().items() if other != name]
-        return others[0][None] if len(others) == 1 else None
+        others = [other for other in self.cell.arms if other != name]
+        return self.positions()[others[0]][None] if len(others) == 1 else None
 
     def rests_at(self, targets: Mapping[str, Vector]) -> bool:
         """Return whether all arms of ``targets`` (name -> (N,) [rad]) are there. Raise as ``positions``."""

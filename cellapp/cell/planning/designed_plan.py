@@ -167,8 +167,9 @@ def _in_order(
             here = None if stops is None else stops.targets(reached - 1)
             more, reasons = sequenced(finder, part, rng, job, here, repeats)
             given_up += reasons
-            stops = more if stops is None else joined_after(stops, more)
-            reached = len(stops)
+            if len(more):
+                stops = more if stops is None else joined_after(stops, more)
+                reached = len(stops)
     if stops is None or reached < wanted - plan.reserve:
         reason = f". {given_up[0]}" if given_up else ""
         raise InputError(

@@ -66,13 +66,14 @@ def sequenced(
     Returns
     -------
     PlannedStops
+        None if no stop can be reached after those that exist.
     list of str
         One sentence on each chosen configuration or stop that was given up, with the reason.
 
     Raises
     ------
     InputError
-        If no stop can be reached.
+        If no stop of a new plan can be reached.
     Cancelled
     """
     plan, given_up = finder.profile.plan, list[str]()
@@ -87,10 +88,12 @@ def sequenced(
     repeats = min(repeats, distinct // (_LARGEST_REPEATED_SHARE - 1))
     first = {name: rows[:distinct] for name, rows in q.items()}
     planned = _part(finder, first, repeats, after or finder.home, rng, job, given_up)
+    if not len(planned) and after is None:
+        raise InputError(f"plan: none of the chosen stops can be reached: {given_up[-1]}")
     if min(reserve, usable - distinct):
         rest = {name: rows[distinct : min(distinct + reserve, usable)] for name, rows in q.items()}
         second = _part(finder, rest, 0, planned.targets(len(planned) - 1), rng, job, given_up)
-        planned = joined_after(planned, second)
+        planned = joined_after(planned, second) if len(second) else planned
     job.tell(_JOB, len(planned), len(planned), "done")
     return planned, given_up
 
@@ -131,7 +134,7 @@ def _part(
     job: JobToken,
     given_up: list[str],
 ) -> PlannedStops:
-    """Plan stops that follow ``start``; from the last one the arms can go home."""
+    """Plan stops that follow ``start``, none if none can be reached; from the last one the arms can go home."""
     profile, cell, home = finder.profile, finder.cell, finder.home
     least = min(map(len, q.values()))
     n = least + repeats
@@ -148,9 +151,6 @@ def _part(
     while len(planned) and home is not None and not can_go(cell, planned.targets(len(planned) - 1), home):
         planned = planned.take(range(len(planned) - 1))
         given_up.append("the last stop has no way home")
-    if not len(planned):
-        reason = legs.given_up[0] if legs.given_up else "the arms cannot go home from it"
-        raise InputError(f"plan: none of the chosen stops can be reached: {reason}")
     return planned
 
 

@@ -345,7 +345,7 @@ def aim(arm: ArmModel, wanted_M: Array, start: Array, conditions: MeasurementCon
         if max(shift.max(initial=0.0), angle.max(initial=0.0)) < _SAME_ROTATION:
             break
         aimed = _poses(rotation @ aimed[:, :3, :3], aimed[:, :3, 3] + off)
-    return Inverted(q, shift, angle)
+    return Inverted(q, shift, angle, _SAME_ROTATION)
 
 
 def branches(chain: Geometry, poses: Array, limits: Array, near: Array, seed: int) -> list[Array]:

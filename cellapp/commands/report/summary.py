@@ -127,6 +127,7 @@ def nothing_found(data: ReportData) -> str:
 
 
 def findings(data: ReportData) -> Iterator[Found]:
+    """Yield what discovery found in each arm: the accepted effects, and what remains unknown or ambiguous."""
     for number, (name, arm) in enumerate(({} if data.discover is None else data.discover.arms).items(), start=1):
         anchor = f"discovery-{number}"
         for effect in arm.accepted:
@@ -146,6 +147,7 @@ def _effect_words(effect: AcceptedEffect) -> str:
 
 
 def steps(data: ReportData, judgements: Sequence[Judgement], today: date) -> Iterator[Step]:
+    """Yield what to do next, the missing result first."""
     missing = [] if data.next_step is None else [data.next_step]
     yield from missing
     here = data.results.model_copy(update={"run": str(HERE)})  # the page is the same wherever it lies

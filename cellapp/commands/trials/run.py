@@ -19,7 +19,7 @@ from cellapp.commands.trials.scoring import JudgeResult, judge_sentences, judge_
 from cellapp.commands.trials.sealed import SEAL_FILE, TRUTH_FILE, SealResult, seal_trials
 from cellapp.commands.trials.sealed_setup import Setup
 from cellapp.commands.view.parts import Parts
-from cellapp.ground.counting import counted
+from cellapp.ground.counting import counted, first_few
 from cellapp.ground.executors import PoolWork, TimeLimit, kept_results
 
 TrialsResult = SealResult | JudgeResult | DetectabilityResult
@@ -63,5 +63,4 @@ def view(result: TrialsResult, request: Request | None = None) -> View:
 
 def _computed(parts: Parts, failed: Sequence[str]) -> View:
     """Return the view of what was computed, with the first tasks that failed."""
-    more = [f"and {len(failed) - _MOST_NAMED} more"] if len(failed) > _MOST_NAMED else []
-    return View(parts, (*failed[:_MOST_NAMED], *more), f"{len(failed)} could not be computed")
+    return View(parts, tuple(first_few(failed, "and {} more", _MOST_NAMED)), f"{len(failed)} could not be computed")

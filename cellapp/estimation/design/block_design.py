@@ -12,8 +12,9 @@ given design dJ = tr(W dC) with W positive semidefinite: an L-criterion, which g
 
     tr(C W) - tr(C' W) = tr((I + V)^-1 U),    V = x C x^T,    U = x C W C x^T    (both 3 by 3),
 
-removing one by -tr((I - V)^-1 U). After every change of the design, C, C W C, and V and U of some hundred candidates
-are updated by matrices of rank three (Woodbury). From time to time all are computed anew, with a new W.
+removing one by -tr((I - V)^-1 U). After every change of the design by k candidates, C, C W C, and V and U of some
+hundred candidates are updated by matrices of rank 3 k (Woodbury). From time to time all are computed anew, with a new
+W.
 """
 
 from __future__ import annotations
@@ -105,7 +106,7 @@ def reference_errors(mean_information: Array, count: int, prior: Array, wanted: 
 
 
 class BlockDesign:
-    """Design that changes by one candidate at a time.
+    """Design that changes by a few candidates at a time.
 
     Parameters
     ----------

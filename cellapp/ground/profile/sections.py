@@ -158,7 +158,8 @@ class Plan(Section):
     """Joint ranges to sample from, for all arms; None: the limits of each arm, at most one turn."""
     method: Literal["designed", "random"] = "designed"
     candidates: Annotated[int, Field(strict=True, ge=100, le=1_000_000)] | None = None
-    """Configurations of each arm from which a design is chosen; None: 50 a stop, at most 20 000."""
+    """Random configurations of each arm from which, and near the best of which, a design is chosen; None: 50 a stop, at
+    most 5000, or 12 a stop."""
     effects: tuple[str, ...] | None = None
     """Slugs of the effects whose coefficients the stops shall tell; None: all that the program knows."""
     incidence: Annotated[Angle, Field(gt=0.0, le=math.pi / 2.0)] = math.radians(20.0)

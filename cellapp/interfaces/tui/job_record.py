@@ -49,7 +49,7 @@ _WORST_FIRST: tuple[HaltState, ...] = ("not seen at rest", "asked", "braking", "
 _TREAT_AS_MOVING = "treat it as moving: emergency stop, then look"
 
 
-def look_of(age_s: float | None) -> Freshness:
+def freshness_of(age_s: float | None) -> Freshness:
     """Return how data of an age are displayed; None means no data."""
     if age_s is None or age_s > LOST_S:
         return "lost"
@@ -67,7 +67,7 @@ def halt_of(arm: ArmLive) -> HaltState | None:
     """Return the progress of an arm's halt; without current data it is not seen at rest, whatever was commanded."""
     if arm.halt is None:
         return None
-    unknown = arm.halt.state in ("asked", "braking") and look_of(arm.age_s) == "lost"
+    unknown = arm.halt.state in ("asked", "braking") and freshness_of(arm.age_s) == "lost"
     return "not seen at rest" if unknown else arm.halt.state
 
 
@@ -75,11 +75,11 @@ def strip_of(live: CellLive) -> list[tuple[str, Freshness]]:
     """Return each arm, the tracker and the job in words with the age of their data, and how these are displayed."""
     parts: list[tuple[str, Freshness]] = []
     for name, arm in live.arms.items():
-        halt, look = halt_of(arm), look_of(arm.age_s)
+        halt, look = halt_of(arm), freshness_of(arm.age_s)
         doing = HALT_WORDS[halt] if halt else "no state" if look == "lost" else "moves" if arm.moving else "rests"
         parts.append((f"{name} {doing} {age_words(arm.age_s)}", "lost" if halt == "not seen at rest" else look))
     ages = (("tracker", live.tracker_age_s), ("job", live.job_age_s))
-    return [*parts, *((f"{name} {age_words(age_s)}", look_of(age_s)) for name, age_s in ages)]
+    return [*parts, *((f"{name} {age_words(age_s)}", freshness_of(age_s)) for name, age_s in ages)]
 
 
 def banner_of(live: CellLive | None, unseen: Mapping[str, str]) -> tuple[str, Sequence[str], bool] | None:
@@ -107,8 +107,8 @@ def banner_of(live: CellLive | None, unseen: Mapping[str, str]) -> tuple[str, Se
 
 def without_data(live: CellLive) -> list[str]:
     """Return the names of the devices that send no data."""
-    arms = [f"arm {name}" for name, arm in live.arms.items() if look_of(arm.age_s) == "lost"]
-    return [*arms, *(["tracker"] if look_of(live.tracker_age_s) == "lost" else [])]
+    arms = [f"arm {name}" for name, arm in live.arms.items() if freshness_of(arm.age_s) == "lost"]
+    return [*arms, *(["tracker"] if freshness_of(live.tracker_age_s) == "lost" else [])]
 
 
 Level = Literal["info", "warning", "error"]

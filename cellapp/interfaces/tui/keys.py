@@ -13,7 +13,7 @@ from textual.binding import Binding, BindingType
 
 from cellapp.commands.docs.keys import KEYS, SHOWN, STEPS, Step
 from cellapp.commands.iso9283.request import VERB as ISO9283
-from cellapp.commands.registry import ALL, name_of
+from cellapp.commands.registry import ALL, GROUPS, name_of
 
 WAYS: Mapping[str, tuple[Step, str]] = {
     "doctor": ("cell", "go"),
@@ -100,7 +100,7 @@ _CHAPTERS = {"docs targets": "push", "docs planning": "plan"}
 
 def with_keys(text: str) -> str:
     """Replace each command of the command line in a sentence by the keys that do it."""
-    verbs = {name_of(verb) for verb in ALL}
+    verbs = {name_of(verb) for verb in ALL} - GROUPS.keys()
 
     def keys(found: re.Match[str]) -> str:
         verb = found[1] or found[2]

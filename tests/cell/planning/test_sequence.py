@@ -10,6 +10,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from cellapp.cell.planning import sequence
 from cellapp.cell.planning.balance import correlations, travel_time
 from cellapp.cell.planning.plan import sample_stops
 from cellapp.cell.planning.planned_stops import PlannedStops, Route, route_s
@@ -160,6 +161,16 @@ def test_stops_that_no_motion_reaches_are_given_up_with_the_reason() -> None:
     chosen["left"][:, 1] = 1.2
     with pytest.raises(InputError, match=r"none of the chosen stops can be reached.*floor"):
         in_order(profile, chosen)
+
+
+def test_further_stops_without_a_way_home_are_given_up_and_cost_no_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    profile, before = large()
+    monkeypatch.setattr(sequence, "can_go", lambda *_: False)
+    further = {name: q[:1] for name, q in before.q.items()}
+    more, reasons = in_order(profile, further, after=before.targets(99))
+    assert (len(more), reasons) == (0, ["the last stop has no way home"])
+    with pytest.raises(InputError, match="none of the chosen stops can be reached: the last stop has no way home"):
+        in_order(profile, further)
 
 
 def test_planning_can_be_cancelled() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import ClassVar
 
+from textual.app import ComposeResult
 from textual.binding import BindingType
 
 from cellapp.commands.collect.request import VERB as COLLECT
@@ -19,6 +20,7 @@ from cellapp.interfaces.tui.confirmations import offer_again
 from cellapp.interfaces.tui.dialogs.question import BEGIN, Choice
 from cellapp.interfaces.tui.keys import bind
 from cellapp.interfaces.tui.screens.tabs import TabsScreen
+from cellapp.interfaces.tui.widgets.parts_view import PartsView
 from cellapp.interfaces.tui.workspace import Workspace
 
 _NO_PROPOSAL = f"No stops are proposed. {SHOWN['add']} proposes stops that best settle what these data leave open."
@@ -40,6 +42,10 @@ class DiscoverScreen(TabsScreen):
     TABS: ClassVar[Mapping[str, str]] = dict.fromkeys(
         ("Found", "Proposed stops"), f"Nothing was searched yet: {SHOWN['go']} searches for missing effects."
     )
+
+    def in_tab(self, title: str) -> ComposeResult:
+        """Empty until it is known whether the run was searched."""
+        yield PartsView()
 
     # -- keys ----------------------------------------------------------------------------------------------------------
 
