@@ -257,14 +257,19 @@ def covering(run: RunFile, *arms: str, at: int) -> CheckResult:
     """Check while the SMRs of some arms are covered from one stop on."""
     opened: list[Cell] = []
 
+    last: list[Progress] = []
+
     def cover(event: Progress) -> None:
+        last[:] = [event]
         if event.job == "check" and event.done == at:
             tracker = opened[0].tracker
             assert isinstance(tracker, SimulatedTracker)
             tracker.covered |= set(arms)
 
     with opened_by(opening(opened.append)):
-        return check_run(run, JobControl(cover))
+        found = check_run(run, JobControl(cover))
+    assert last[0].job == "check" and last[0].done == last[0].total
+    return found
 
 
 def test_an_smr_that_is_lost_leaves_the_verdict_open(run: RunFile) -> None:
