@@ -268,7 +268,7 @@ def covering(run: RunFile, *arms: str, at: int) -> CheckResult:
 
     with opened_by(opening(opened.append)):
         found = check_run(run, JobControl(cover))
-    assert last[0].job == "check" and last[0].done == last[0].total
+    assert (last[0].job, last[0].done) == ("check", last[0].total)
     return found
 
 
