@@ -47,7 +47,8 @@ from tests.waiting import until
 
 pytestmark = pytest.mark.waits
 
-_BROKEN = r"its RTDE client crashed \(signal (6|11): .*\); possible: a malformed packet came|the RTDE link broke"
+_BROKEN = r"its RTDE client crashed \(signal (6|11)(: .*)?\); possible: a malformed packet came|the RTDE link broke"
+"""A client that crashes while it tells of a crash may leave no last words."""
 MALFORMED = {
     "size 0": ("000055", _BROKEN),
     "size 2": ("000255", _BROKEN),
