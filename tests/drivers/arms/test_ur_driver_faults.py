@@ -123,8 +123,8 @@ def fault_after_a_motion(emulator: EmulatorProcess, arm: UrArm, *, fault: str) -
     go(arm, AWAY)
     error = inject(emulator, arm.name, fault)
     if error is LinkLost:
-        with pytest.raises(LinkLost):
-            arm.state()
+        with pytest.raises(LinkLost):  # after states that came before the link broke
+            until(lambda: not arm.state(), "the broken link is seen")
     else:
         until(lambda: not arm.state().ready, "the fault is seen")
         assert "stop: " in arm.state().reason

@@ -304,7 +304,7 @@ def test_another_controller_at_the_same_address_is_refused() -> None:
         arm = UrArm("left", UrSettings(host=SWAPPED_HOSTS["left"]), expectation("left", serial=None), rest_s=1.0)
         arm.connect()
     with pytest.raises(LinkLost):
-        arm.state()
+        until(lambda: not arm.state(), "the broken link is seen")
     swapped = replace(left, personality=replace(left.personality, serial="20159999999"))
     with start_in_process([swapped, right]):
         with pytest.raises(WrongRobot, match="is now 20159999999, it was 20153012345"):
