@@ -58,7 +58,7 @@ LATE = {
     "commands": ((0.1,), "its controller took .* for an answer .* so the controller's watchdog .* stopped its program"),
     "all": (
         (0.2, 0.1),
-        "the dashboard, over which|the network is late|the network lost messages|for an answer|RTDE link",
+        "the dashboard, over which|the network is late|the network lost messages|for an answer|RTDE link|no state came",
     ),
 }
 """Delay [s] and share of lost messages of a network, and what is said of it."""
