@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.arms.protocol import ArmError, HostStalled, JointLimits
+from drivers.arms.protocol import ArmError, ArmState, HostStalled, JointLimits
 from drivers.arms.ur import UrArm
 from drivers.arms.ur_checks import UrExpectation
 from drivers.arms.ur_settings import UrSettings
@@ -153,12 +153,13 @@ class Heard:
         return self.faults[0]
 
 
-def go(arm: UrArm, q: np.ndarray) -> None:
-    """Move to ``q`` and rest there."""
+def go(arm: UrArm, q: np.ndarray) -> ArmState:
+    """Move to ``q``, rest there, and return the state."""
     arm.start_move(q, SPEED, ACCELERATION)
     state = arm.wait_settled(PATIENT_S)
     assert not state.moving
     np.testing.assert_allclose(state.q, q, atol=1e-6)
+    return state
 
 
 def set_out(arm: UrArm) -> None:
