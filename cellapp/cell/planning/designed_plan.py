@@ -68,7 +68,7 @@ _ROUNDS = 3
 """Rounds in which spare stops replace those that cannot be reached."""
 _LEAST_CHOICE = 3
 """Least number of easily reached candidates for each stop; with fewer there would be no choice."""
-_SAMPLE = 1000
+_SAMPLE = 500
 """Number of candidates whose reach is checked first."""
 _FEW_HARD = 0.02
 """Share of these up to which the others are not checked: spare stops replace the few hard ones that are chosen."""

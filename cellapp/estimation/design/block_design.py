@@ -136,12 +136,10 @@ class BlockDesign:
             self._C, self._CWC, self._changed = self._C - A.T @ S, self._CWC - (half + half.T), 0
 
     def screened(self, rows: Array, count: int) -> Rows:
-        """Return the indices of the ``count`` largest tr(U) among candidates ``rows`` (s, 3, p), unsorted.
+        """Return the indices of the ``count`` largest tr(U) among candidates ``rows`` (s, 3, p), the largest first.
 
         This is the gain to first order, in the precision of the rows: to rank the best candidates, track them.
         """
-        if count >= len(rows):
-            return np.arange(len(rows))
         _, S, B = self._steps[:, : self._changed].astype(rows.dtype)
         CWC, squares = self._CWC.astype(rows.dtype), [np.empty(0)]
         flat = rows.reshape(-1, rows.shape[2])
@@ -149,7 +147,7 @@ class BlockDesign:
             part = flat[first : first + _ROWS_AT_ONCE]
             square = np.einsum("rp,rp->r", part @ CWC, part)
             squares.append(square - 2.0 * np.einsum("rk,rk->r", part @ S.T, part @ B.T) if self._changed else square)
-        return np.argpartition(-np.concatenate(squares).reshape(-1, 3).sum(axis=1), count)[:count]
+        return np.argsort(-np.concatenate(squares).reshape(-1, 3).sum(axis=1), kind="stable")[:count]
 
     def track(self, rows: Array) -> None:
         """Track the gains of candidates ``rows`` (s, 3, p) from now on, instead of the previous ones.
@@ -166,15 +164,15 @@ class BlockDesign:
         removing it; valid for those in the design."""
         return trace_of_solution(self._V, self._U, sign)
 
-    def change(self, rows: Array, sign: float = 1.0) -> None:
-        """Add candidates by their ``rows`` (3 k, p), or remove them with ``sign`` -1."""
+    def change(self, rows: Array, signs: Array | float = 1.0) -> None:
+        """Add candidates by their ``rows`` (3 k, p), or remove those whose rows have ``signs`` -1."""
         if self._changed + len(rows) > _ROWS_CHANGED:
             self._update()
         rows, end = rows.astype(np.float64), self._changed
         A, S, B = self._steps[:, :end]
         Cx = rows @ self._C - (rows @ A.T) @ S
         H = rows @ self._CWC - (rows @ S.T) @ B - (rows @ B.T) @ S
-        G = sign * np.linalg.solve(np.eye(len(rows)) + sign * (Cx @ rows.T), Cx)
+        G = np.linalg.solve(np.diag(np.broadcast_to(signs, len(rows))) + Cx @ rows.T, Cx)
         self._changed = end + len(rows)
         new = self._steps[:, end : self._changed]
         new[:] = Cx, G, H - 0.5 * (H @ rows.T) @ G
@@ -183,14 +181,17 @@ class BlockDesign:
         half = _products(by_G, by_B)
         self._U = self._U - (half + half.transpose(0, 2, 1))
 
-    def add_best(self, count: int) -> Rows:
-        """Add tracked candidates, one after the other the one with the largest gain; return their indices."""
-        chosen, outside = list[int](), np.zeros(len(self._V))
-        for _ in range(count):
-            chosen.append(int(np.argmax(self.gains() + outside)))
-            outside[chosen[-1]] = -np.inf
-            self.change(self._rows[3 * chosen[-1] : 3 * chosen[-1] + 3])
-        return np.array(chosen, dtype=np.intp)
+    def change_best(self, count: int, together: int, sign: float = 1.0) -> Rows:
+        """Add the ``count`` best tracked candidates, ``together`` at a time, or remove those with ``sign`` -1 that can
+        best be missed; return their indices in this order."""
+        best, outside = list[int](), np.zeros(len(self._V))
+        rows = self._rows.reshape(len(self._V), 3, len(self._C))
+        while len(best) < count:
+            some = np.argsort(outside - sign * self.gains(sign), kind="stable")[: min(together, count - len(best))]
+            outside[some] = np.inf
+            best += some.tolist()
+            self.change(rows[some].reshape(-1, len(self._C)), sign)
+        return np.array(best, dtype=np.intp)
 
 
 def _products(first: Array, second: Array) -> Array:
@@ -214,7 +215,7 @@ SUBSET = 600
 """Number of candidates looked at for each batch of the first choice."""
 PASSES = 2
 """Largest number of passes of exchanges, each with new weights W: as with the subset, the result improves slowly."""
-_BATCHES = 12
+_BATCHES = 6
 """Number of batches of the first choice; each draws a new subset."""
 _SMALLEST_BATCH = 20
 """Smallest batch of the first choice: with fewer stops the new subset costs more than the choice."""
@@ -223,6 +224,8 @@ _FIRST_BATCH = 5
 updates lose as many digits."""
 _SAMPLED = 4000
 """Least number of candidates for the mean information: its errors are then about a percent."""
+_TOGETHER = 100
+"""Stops of a design for which one more candidate is added, or removed, at a time: the gains hardly change by that."""
 _FOLLOWED = 50
 """Number of tracked candidates, or two for each stop of a batch: with fewer, the best for a later one may be missing.
 """
@@ -305,15 +308,16 @@ def choose_blocks(
 
 def least_informative_last(candidates: Candidates, chosen: Rows, criterion: Criterion) -> Rows:
     """Move the stops that can best be missed, one after the other, to the end, the best one last."""
-    design, missed, last = candidates.design(chosen, criterion), round(_MISSED * len(chosen)), list[int]()
+    design, missed = candidates.design(chosen, criterion), round(_MISSED * len(chosen))
     likely = np.sort(np.argsort(design.gains(-1.0), kind="stable")[: _LIKELY_MISSED * missed])
-    rows, outside = candidates.rows[chosen[likely]], np.zeros(len(likely))
-    design.track(rows)
-    for _ in range(missed):
-        last.append(int(np.argmin(design.gains(-1.0) + outside)))
-        outside[last[-1]] = np.inf
-        design.change(rows[last[-1]], -1.0)
+    design.track(candidates.rows[chosen[likely]])
+    last = design.change_best(missed, _together(len(chosen)), -1.0)
     return np.concatenate([np.delete(chosen, likely[last]), chosen[likely[last[::-1]]]])
+
+
+def _together(stops: int) -> int:
+    """Return how many candidates are added to a design of ``stops``, or removed, at a time."""
+    return 1 + stops // _TOGETHER
 
 
 def _greedy(candidates: Candidates, count: int, W: Array, rng: np.random.Generator, steps: JobSteps) -> Rows:
@@ -328,7 +332,7 @@ def _greedy(candidates: Candidates, count: int, W: Array, rng: np.random.Generat
         among = among[design.screened(candidates.rows[among], max(_FOLLOWED, 2 * size))]
         design.track(candidates.rows[among])
         # smaller batches at the beginning, where gains change most
-        come = among[design.add_best(min(size, max(_FIRST_BATCH, before), count - before))]
+        come = among[design.change_best(min(size, max(_FIRST_BATCH, before), count - before), _together(before))]
         free[come] = False
         before += len(come)
         steps(before, "choice")
@@ -349,8 +353,9 @@ def _exchanged(
     queue = chosen[np.argsort(design.gains(-1.0), kind="stable")][:_MOST_EXCHANGED]
     free = np.ones(len(candidates), dtype=bool)
     free[chosen] = False
-    among = among[design.screened(candidates.rows[among], _NEXT * (_PROMISING + len(chosen)))]
-    promising = np.sort(among[design.screened(candidates.rows[among], _PROMISING + len(chosen))])
+    most = _PROMISING + len(chosen)
+    among = among[design.screened(candidates.rows[among], _NEXT * most)]
+    promising = among[:most]
     for first in range(0, len(queue), _EXCHANGED_AT_ONCE):
         steps.check()
         steps(len(chosen) + first, "exchange")
@@ -360,7 +365,7 @@ def _exchanged(
         looked_at = np.concatenate([leaving, coming])
         design.track(candidates.rows[looked_at])
         design.change(candidates.rows[leaving].reshape(-1, candidates.rows.shape[2]), -1.0)
-        come = design.add_best(len(leaving))
+        come = design.change_best(len(leaving), _together(len(chosen)))
         free[leaving], free[looked_at[come]] = True, False
         if np.sum(come >= len(leaving)) < _LEAST_NEW * len(leaving):
             break
@@ -455,8 +460,7 @@ def close_gaps(
         if not free.any():
             break
         leaving = int(np.argmin(np.where(free, design.gains(-1.0), np.inf)))
-        design.change(candidates.rows[best])
-        design.change(candidates.rows[chosen[leaving]], -1.0)
+        design.change(candidates.rows[[best, chosen[leaving]]].reshape(6, -1), np.repeat([1.0, -1.0], 3))
         staying[leaving] = False
         added.append(best)
     return np.concatenate([chosen[staying], np.array(added, dtype=np.intp)])

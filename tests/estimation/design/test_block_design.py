@@ -58,6 +58,9 @@ def test_updates_equal_fresh_inverses(seed: int) -> None:
         else:
             inside.append(number)
             design.change(candidates.rows[number])
+    comes = int(np.setdiff1d(np.arange(M), inside)[0])
+    design.change(candidates.rows[[inside[0], comes]].reshape(6, P), np.repeat([-1.0, 1.0], 3))
+    inside[0] = comes
     fresh = BlockDesign(candidates.information(np.array(inside)), weights)
     fresh.track(candidates.rows)
     np.testing.assert_allclose(design.covariance, fresh.covariance, rtol=1e-9, atol=1e-12)
