@@ -388,7 +388,7 @@ _EMPTY_SPACINGS = 10.0
 """The same limit for few candidates, in mean distances between them: longer gaps do not occur by chance."""
 _IMMOVABLE = 1e-12
 """Replacement of a zero limit, for a joint that does not move [rad]."""
-_MOST_LOOKED_AT = 100
+_MOST_LOOKED_AT = 50
 """Most candidates examined for one gap: more of them differ little."""
 
 
