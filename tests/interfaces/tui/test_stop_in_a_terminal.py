@@ -28,7 +28,7 @@ from tests.commands.emulated_cell import stalled
 from tests.evidence.wire.polling import comes_about
 from tests.evidence.wire.terminal_presses import COLUMNS, KEYS, PLACES, ROWS
 from tests.interfaces.tui.terminal import ROOT, Terminal
-from tests.latency import attempts
+from tests.latency import PAUSES_S, attempts
 from tests.loopback import free_port, own_address
 from tests.sure import sure
 from tests.twin import PROFILES
@@ -158,9 +158,14 @@ def test_what_is_no_press_of_stop_stops_nothing(running: Held, keys: bytes) -> N
 
 
 def test_an_arrow_in_two_parts_stops_nothing(running: Held) -> None:
-    before = len(running.calls())
-    split_arrow(running)
-    running.stays(before)
+    """Unless this computer stands still between the parts: then the first is taken for Escape, to be safe."""
+    for _ in PAUSES_S:
+        before = len(running.calls())
+        split_arrow(running)
+        if not comes_about(lambda: len(running.calls()) != before, time.monotonic() + QUIET_S):  # noqa: B023
+            return
+        running.resume()
+    pytest.fail("it always stops")
 
 
 def test_a_paste_whose_end_is_lost_does_not_hide_stop(running: Held) -> None:
