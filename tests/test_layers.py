@@ -31,6 +31,8 @@ READ_SETTINGS = ("cellapp.ground.profile", "cellapp.cell.profile", "cellapp.cell
 """Rooms that read and write what a profile or a list of targets says."""
 PRIORITY = "drivers.priority"
 """How a thread is preferred, one that reads keys as well; it knows no device."""
+FINDINGS = "drivers.findings"
+"""What devices have said of themselves, as it is stored and shown; it knows no device."""
 REGISTRIES = "drivers.plugins"
 """How all registries find plug-ins, those of effects and exports as well; it knows no device."""
 SETTINGS = (
@@ -200,7 +202,7 @@ def test_the_modules_are_found() -> None:
 def test_every_name_in_these_rules_is_a_module() -> None:
     """A rule about a module that was renamed would hold whatever is written."""
     groups = [f"cellapp.{group}" for group in GROUPS]
-    named = (*groups, *OPEN_DEVICES, *READ_SETTINGS, *SETTINGS, *DRIVERS, *LOADED_LATER, REGISTRIES, PRIORITY)
+    named = (*groups, *OPEN_DEVICES, *READ_SETTINGS, *SETTINGS, *DRIVERS, *LOADED_LATER, FINDINGS, REGISTRIES, PRIORITY)
     assert [module for module in named if not is_ours(module)] == []
     assert not is_ours("cellapp.cell.run.csv_io")
     assert {path.parent.name for path in (ROOT / "cellapp").glob("*/__init__.py")} == {*GROUPS, "docs"}
@@ -262,7 +264,7 @@ def test_only_some_rooms_read_settings_and_fewer_open_devices() -> None:
         if module.startswith(tuple(f"{room}." for room in OPEN_DEVICES)):
             continue
         reads = module.startswith(tuple(f"{room}." for room in READ_SETTINGS))
-        allowed = tuple(f"{one}." for one in (REGISTRIES, PRIORITY, *(SETTINGS if reads else ())))
+        allowed = tuple(f"{one}." for one in (FINDINGS, REGISTRIES, PRIORITY, *(SETTINGS if reads else ())))
         found = imports_of(path, "drivers")
         assert [one for one in found if not f"{one}.".startswith(allowed)] == [], name(path)
 

@@ -33,8 +33,8 @@ from cellapp.robot.effects.joint_compliance import LINEAR
 from cellapp.robot.kinematics.chain import nominal_geometry, smr_positions
 from cellapp.robot.kinematics.transforms import rotation_from_vector, transform, zyx_angles
 from cellapp.robot.model import CellModel
-from drivers.arms.protocol import ArmIdentity
 from drivers.arms.simulated import SimulatedArm
+from drivers.findings import ArmIdentity
 from tests.arms import UR5
 from tests.sure import sure
 from tests.twin import PROFILES, altered, plant_of, small_twin
