@@ -74,7 +74,6 @@ LOADED_LATER = {
 }
 """Modules and packages that import this house inside functions, for a faster start; all others do at the top."""
 BROUGHT_ALONG = {
-    "annotated_types": ["pydantic"],
     "pydantic_core": ["pydantic"],
     "markupsafe": ["jinja2"],
     "coal": ["coal"],
