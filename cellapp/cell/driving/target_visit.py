@@ -31,7 +31,6 @@ from cellapp.cell.driving.verification import (
     rms_error_m,
 )
 from cellapp.cell.planning.planned_stops import orders, tell_time, visits_s
-from cellapp.cell.targets.invert import STEP_BACK_RAD, invert, with_approach
 from cellapp.cell.targets.prediction import Command
 from cellapp.cell.targets.ranges import conditions_of
 from cellapp.cell.targets.records import VerifyResult
@@ -44,6 +43,7 @@ from cellapp.ground.profile import Profile
 from cellapp.robot.effects import EFFECTS, InputVariable
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel, CellModel
+from cellapp.robot.model.inverse import STEP_BACK_RAD, invert, with_approach
 from drivers.arms.protocol import ArmState
 from drivers.trackers.protocol import TargetLost, TrackerError, WrongTarget
 

@@ -12,7 +12,6 @@ import numpy as np
 
 from cellapp.cell.exports.arm_export import ArmExport
 from cellapp.cell.safety.gate import CellBodies, refuse_motion
-from cellapp.cell.targets.invert import STEP_BACK_RAD, with_approach
 from cellapp.cell.targets.ranges import signs_words
 from cellapp.cell.targets.records import MeasuredTarget, TargetCommand
 from cellapp.ground.errors import InputError
@@ -20,6 +19,7 @@ from cellapp.ground.profile import Arm, Profile
 from cellapp.robot.kinematics.chain import Geometry, plain_geometry
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import CellModel
+from cellapp.robot.model.inverse import STEP_BACK_RAD, with_approach
 
 
 @dataclass(frozen=True)

@@ -15,17 +15,16 @@ from numpy.typing import NDArray
 
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions, require_arms, visible_with_others
 from cellapp.cell.safety.gate import CellBodies, refuse_stop
-from cellapp.cell.targets.goals import ArmGoals, goals_of_arm
-from cellapp.cell.targets.invert import (
+from cellapp.cell.targets.branches import (
     LARGEST_CORRECTION,
     Branches,
     Picked,
     Positions,
     admissible_configurations,
     choose,
-    invert,
     judged_branches,
 )
+from cellapp.cell.targets.goals import ArmGoals, goals_of_arm
 from cellapp.cell.targets.prediction import (
     Command,
     Predicted,
@@ -50,6 +49,7 @@ from cellapp.robot.kinematics.chain import Geometry
 from cellapp.robot.kinematics.inverse import Inverted, all_branches, errors_and_jacobian, missed_distances, solve_pose
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel, CellModel
+from cellapp.robot.model.inverse import invert
 
 _TOGETHER_ROUNDS = 2
 """Iterations for two arms that act on each other: in the second one their interaction changes by a thousandth."""

@@ -14,13 +14,13 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import refuse_stop, visible
 from cellapp.cell.targets.compensate import compensate
-from cellapp.cell.targets.invert import invert
 from cellapp.cell.targets.prediction import Command, command_record
 from cellapp.cell.targets.targets import Partner, Target, load_targets
 from cellapp.ground.errors import InputError
 from cellapp.robot.effects import EFFECTS, EffectTerm
 from cellapp.robot.kinematics.transforms import rotation_zyx, zyx_angles
 from cellapp.robot.model import ArmModel, CellModel
+from cellapp.robot.model.inverse import invert
 from tests.postures import far_from_singular
 from tests.sure import sure
 from tests.twin import PROFILES, altered, small_twin, with_arms

@@ -13,7 +13,6 @@ from cellapp.cell.driving.target_visit import push
 from cellapp.cell.planning.plan import plan_stops
 from cellapp.cell.profile import load_profile
 from cellapp.cell.targets.compensate import compensate
-from cellapp.cell.targets.invert import invert
 from cellapp.cell.targets.targets import targets_in_memory
 from cellapp.commands.calibrate.result import calibrate_result
 from cellapp.commands.calibrate.view import cooperative_noise_mrad
@@ -32,6 +31,7 @@ from cellapp.robot.kinematics.chain import (
     smr_positions_of,
 )
 from cellapp.robot.model import CellModel
+from cellapp.robot.model.inverse import invert
 from cellapp.robot.model.nominal import nominal_arm
 from tests.approved import text_of
 from tests.arms import true_geometry
