@@ -142,9 +142,9 @@ def require_same_arms(profile: Profile, model: CellModel, commands: Sequence[Com
         raise InputError("push: there are no targets; give a list with at least one")
     require_arms(profile, model)
     for command in commands:
-        if command.arm not in profile.arms:
+        if command.record.arm not in profile.arms:
             raise InputError(
-                f"push: target '{command.target.name}' is for arm '{command.arm}', the profile has arms"
+                f"push: target '{command.target.name}' is for arm '{command.record.arm}', the profile has arms"
                 f" {', '.join(profile.arms)}; nothing was moved. Give the target list of this cell"
             )
     for name, arm in profile.arms.items():
@@ -219,14 +219,14 @@ def known_payload(arm: Arm, load_kg: float) -> str:
 def _wrong_payloads(run: RunFile, cell: Cell, commands: Sequence[Command]) -> Iterator[str]:
     """Yield the controllers' payloads that do not fit a target or the run, as text; skip controllers without one."""
     ranges = _payload_ranges(run)
-    for name in dict.fromkeys(command.arm for command in commands):
+    for name in dict.fromkeys(command.record.arm for command in commands):
         try:
             has_kg = cell.arms[name].tool().payload_kg
         except ArmError as error:
             raise HardwareError(str(error)) from error
         if has_kg is None:
             continue
-        own = [command for command in commands if command.arm == name]
+        own = [command for command in commands if command.record.arm == name]
         for stated_kg in dict.fromkeys(conditions_of(command.target, name).payload for command in own):
             low, high = ranges[name] if stated_kg is None else (stated_kg, stated_kg)
             several = high - low > SAME_PAYLOAD_KG
