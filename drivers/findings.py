@@ -1,4 +1,4 @@
-"""Result of a probe of a device."""
+"""What a device reports about itself, and the result of a probe of it."""
 
 from __future__ import annotations
 
@@ -37,6 +37,25 @@ class DeviceReport:
     humidity_percent: float | None = None
     dh_rows: tuple[tuple[float, ...], ...] | None = None
     dh_checksum: str | None = None
+
+
+@dataclass(frozen=True)
+class ArmIdentity:
+    """Identity of the arm as reported by its controller.
+
+    Attributes
+    ----------
+    dh_rows : tuple of rows or None
+        D-H rows theta, d, a, alpha of each joint that the controller uses [rad, m, m, rad]; None if not reported.
+    dh_checksum : str
+        Checksum of the arm's factory calibration; empty if the controller has none.
+    """
+
+    model: str
+    serial: str
+    software: str
+    dh_rows: tuple[tuple[float, ...], ...] | None = None
+    dh_checksum: str = ""
 
 
 @dataclass(frozen=True)

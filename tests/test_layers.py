@@ -29,10 +29,9 @@ OPEN_DEVICES = (
 """Rooms that use more of the drivers than settings."""
 READ_SETTINGS = ("cellapp.ground.profile", "cellapp.cell.profile", "cellapp.cell.targets")
 """Rooms that read and write what a profile or a list of targets says."""
-PRIORITY = "drivers.priority"
-"""How a thread is preferred, one that reads keys as well; it knows no device."""
-REGISTRIES = "drivers.plugins"
-"""How all registries find plug-ins, those of effects and exports as well; it knows no device."""
+NO_DEVICE = ("drivers.findings", "drivers.plugins", "drivers.priority")
+"""What devices have said, as it is stored and shown; how all registries find plug-ins, those of effects as well; how a
+thread is preferred, one that reads keys as well. None of them knows a device."""
 SETTINGS = (
     "drivers.quantities",
     "drivers.settings",
@@ -72,7 +71,6 @@ LOADED_LATER = {
 }
 """Modules and packages that import this house inside functions, for a faster start; all others do at the top."""
 BROUGHT_ALONG = {
-    "annotated_types": ["pydantic"],
     "pydantic_core": ["pydantic"],
     "markupsafe": ["jinja2"],
     "coal": ["coal"],
@@ -200,7 +198,7 @@ def test_the_modules_are_found() -> None:
 def test_every_name_in_these_rules_is_a_module() -> None:
     """A rule about a module that was renamed would hold whatever is written."""
     groups = [f"cellapp.{group}" for group in GROUPS]
-    named = (*groups, *OPEN_DEVICES, *READ_SETTINGS, *SETTINGS, *DRIVERS, *LOADED_LATER, REGISTRIES, PRIORITY)
+    named = (*groups, *OPEN_DEVICES, *READ_SETTINGS, *SETTINGS, *DRIVERS, *LOADED_LATER, *NO_DEVICE)
     assert [module for module in named if not is_ours(module)] == []
     assert not is_ours("cellapp.cell.run.csv_io")
     assert {path.parent.name for path in (ROOT / "cellapp").glob("*/__init__.py")} == {*GROUPS, "docs"}
@@ -262,7 +260,7 @@ def test_only_some_rooms_read_settings_and_fewer_open_devices() -> None:
         if module.startswith(tuple(f"{room}." for room in OPEN_DEVICES)):
             continue
         reads = module.startswith(tuple(f"{room}." for room in READ_SETTINGS))
-        allowed = tuple(f"{one}." for one in (REGISTRIES, PRIORITY, *(SETTINGS if reads else ())))
+        allowed = tuple(f"{one}." for one in (*NO_DEVICE, *(SETTINGS if reads else ())))
         found = imports_of(path, "drivers")
         assert [one for one in found if not f"{one}.".startswith(allowed)] == [], name(path)
 

@@ -60,7 +60,7 @@ class ArmProgress(Record):
 
 
 @dataclass(frozen=True)
-class Step:
+class Next:
     """One thing to do next: words, the command if cellapp does it, and the verb to whose screen it belongs."""
 
     text: str
@@ -91,18 +91,18 @@ def arm_states(run: RunFile) -> dict[str, ArmProgress]:
 
 def missing_step(
     run: RunFile, stages: RunStages, arms: Mapping[str, ArmProgress], folder: Path | None = None
-) -> Step | None:
+) -> Next | None:
     """Return the first step of the day that is missing or out of date, for a run in ``folder``; None without one."""
     folder = folder or run.folder
     if run.removed_kinds():
-        return Step("Measure the cell anew:", next_command("plan", folder), "plan")
+        return Next("Measure the cell anew:", next_command("plan", folder), "plan")
     if not (verb := _missing_verb(run, stages, arms)):
         return None
     begun = verb == "collect" and any(arm.measured for arm in arms.values())
     words = "Repeat what is out of date:" if stages.out_of_date else "Go on with:"
     if verb == "collect":
         words = "Measure the planned stops that are left, then calibrate and discover again:"
-    return Step(words, next_command(verb, folder) + (" --resume" if begun else ""), verb)
+    return Next(words, next_command(verb, folder) + (" --resume" if begun else ""), verb)
 
 
 def next_step(
@@ -111,7 +111,7 @@ def next_step(
     arms: Mapping[str, ArmProgress],
     complaints: Sequence[str] = (),
     results: RunResults | None = None,
-) -> Step:
+) -> Next:
     """Return what comes next; it is empty only if nothing is missing, out of date, undecided or failed.
 
     ``complaints``: what is out of date, as ``complaints_of`` says; ``results``: those of the run, if they were read.
@@ -123,34 +123,34 @@ def next_step(
     remaining = list(open_steps(run.profile, results, judge_run(run.profile, results, measured_conditions(readings))))
     tests = (one for one in remaining if one.verb == ISO9283 and one.command)
     again = (step for words, step in _again(run) if any(one.startswith(words) for one in complaints))
-    return next((one for found in (tests, again, remaining) for one in found), Step(""))
+    return next((one for found in (tests, again, remaining) for one in found), Next(""))
 
 
-def open_steps(profile: Profile, results: RunResults, judgements: Sequence[Judgement]) -> Iterator[Step]:
+def open_steps(profile: Profile, results: RunResults, judgements: Sequence[Judgement]) -> Iterator[Next]:
     """Yield what settles each result that is not decided, not measured, or outside a tolerance."""
     folder = shell_word(results.run)
     driven = [name for name, arm in profile.arms.items() if arm.driver.has_device]
     if driven:
         for test in _missing_tests(profile, results, driven)[:1]:
-            yield Step("Measure by ISO 9283 what has a tolerance:", f"cellapp iso9283 {test} --run {folder}", "iso9283")
+            yield Next("Measure by ISO 9283 what has a tolerance:", f"cellapp iso9283 {test} --run {folder}", "iso9283")
     yield from _of_stages(results, folder)
     out = [one for one in judgements if one.conformity == "does not conform"]
     if driven and results.verify is not None and any(one.characteristic in AT_TARGETS for one in out):
         words = "Correct by measuring what the model leaves at targets:"
-        yield Step(words, at_targets("push", Path(results.run), " --verify --iterate 2"), "push")
+        yield Next(words, at_targets("push", Path(results.run), " --verify --iterate 2"), "push")
     elif out:
-        yield Step(f"Decide what follows: outside its tolerance is {named_errors(out)}.")
+        yield Next(f"Decide what follows: outside its tolerance is {named_errors(out)}.")
     missing = [one for one in judgements if one.value is None and one.characteristic in AT_TARGETS]
     if missing and not driven:
-        yield Step(f"Not decided: {named_errors(missing)} is judged at targets, and these arms cannot be driven there.")
+        yield Next(f"Not decided: {named_errors(missing)} is judged at targets, and these arms cannot be driven there.")
     elif missing:
         yield _targets_step(results, missing)
     near = [one for one in judgements if one.conformity == "not decided" and one.value is not None]
     if near and not other_arms_found(results):
-        yield Step(f"Measure with a smaller uncertainty: {named_errors(near)}.")
+        yield Next(f"Measure with a smaller uncertainty: {named_errors(near)}.")
 
 
-def _of_stages(results: RunResults, folder: str) -> Iterator[Step]:
+def _of_stages(results: RunResults, folder: str) -> Iterator[Next]:
     """Yield what settles stages that stopped, failed or decided nothing; those out of date are repeated instead."""
     for name, one in stage_conclusions(results).items():
         kind, words = one.kind, f"{one.words[:1].upper()}{one.words[1:]}"
@@ -158,22 +158,22 @@ def _of_stages(results: RunResults, folder: str) -> Iterator[Step]:
             continue
         if name == DISCOVER:
             text = f"{words}: measure stops that decide what discovery left open:"
-            yield Step(text, f"cellapp discover {folder} --propose {_PROPOSED_STOPS}", "discover")
+            yield Next(text, f"cellapp discover {folder} --propose {_PROPOSED_STOPS}", "discover")
         elif name == PATH:
-            yield Step(f"{words}: mend the path, then compute it again:", "cellapp docs targets")
+            yield Next(f"{words}: mend the path, then compute it again:", "cellapp docs targets")
         elif name == CHECK and kind == "not decided":
-            yield Step(f"{words}:", f"cellapp check {folder}", "check")
+            yield Next(f"{words}:", f"cellapp check {folder}", "check")
         elif name in (PUSH, VERIFY) and kind == "not decided":
-            yield Step(f"{words}: measure with a smaller uncertainty.")
+            yield Next(f"{words}: measure with a smaller uncertainty.")
         elif name in (PUSH, VERIFY):
             again = {"part": "", "does not conform": " --iterate 2"}[kind]
             command = at_targets("push", Path(results.run), f" --verify{again}" if name == VERIFY else "")
-            yield Step(f"{words}:", command, "push")
+            yield Next(f"{words}:", command, "push")
         elif name == ISO9283 and kind == "part":
-            yield Step(f"{words}:", f"cellapp iso9283 --run {folder}", "iso9283")
+            yield Next(f"{words}:", f"cellapp iso9283 --run {folder}", "iso9283")
 
 
-def _targets_step(results: RunResults, missing: Sequence[Judgement]) -> Step:
+def _targets_step(results: RunResults, missing: Sequence[Judgement]) -> Next:
     """Return how targets that have a tolerance come to be measured: what a list lacks, no repetition measures."""
     verify = results.verify
     listed = set() if verify is None else {one.arm for one in verify.targets}
@@ -181,16 +181,16 @@ def _targets_step(results: RunResults, missing: Sequence[Judgement]) -> Step:
     lacking = [one for one in missing if not (pairs if one.characteristic in PAIR_ERRORS else one.where in listed)]
     measure = at_targets("push", Path(results.run), " --verify")
     if not lacking:
-        return Step(f"Measure {named_errors(missing)}, which has a tolerance:", measure, "push")
+        return Next(f"Measure {named_errors(missing)}, which has a tolerance:", measure, "push")
     of_pairs, of_arm = "cooperative targets (partner)", "targets of {}"
     what = dict.fromkeys(of_pairs if one.characteristic in PAIR_ERRORS else of_arm.format(one.where) for one in lacking)
     text = (
         f"Add {' and '.join(what)} to the list, which have a tolerance and are not in it; then measure them: {measure}"
     )
-    return Step(text, verb="push")
+    return Next(text, verb="push")
 
 
-def _again(run: RunFile) -> Iterator[tuple[str, Step]]:
+def _again(run: RunFile) -> Iterator[tuple[str, Next]]:
     """Yield the beginning of each complaint and the step that mends it, in the order of the steps."""
     folder, words = shell_word(run.folder), "Repeat what is out of date:"
     verbs: dict[str, tuple[NextVerb, str]] = {
@@ -204,7 +204,7 @@ def _again(run: RunFile) -> Iterator[tuple[str, Step]]:
         CERTIFICATE_FILE: ("certificate", f"cellapp certificate {folder}"),
     }
     for begins, (verb, command) in verbs.items():
-        yield begins, Step(words, command, verb)
+        yield begins, Next(words, command, verb)
 
 
 def _missing_verb(run: RunFile, stages: RunStages, arms: Mapping[str, ArmProgress]) -> NextVerb:

@@ -145,7 +145,7 @@ class View:
     held: str = ""
 
 
-def _no_page(shown: RunFile | Result) -> Any:
+def _no_page(*_: object) -> Any:
     raise InputError("this interface draws no page of a run or a certificate")
 
 

@@ -9,28 +9,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
+from drivers.findings import ArmIdentity
+
 if TYPE_CHECKING:  # for annotations only: a driver's worker process starts without numpy
     import numpy as np
     from numpy.typing import NDArray
-
-
-@dataclass(frozen=True)
-class ArmIdentity:
-    """Identity of the arm as reported by its controller.
-
-    Attributes
-    ----------
-    dh_rows : array, shape (N, 4), or None
-        Calibrated D-H rows theta, d, a, alpha that the controller uses [rad, m, m, rad]; None if not reported.
-    dh_checksum : str
-        Checksum of the arm's factory calibration; empty if the controller has none.
-    """
-
-    model: str
-    serial: str
-    software: str
-    dh_rows: NDArray[np.float64] | None = None
-    dh_checksum: str = ""
 
 
 @dataclass(frozen=True)

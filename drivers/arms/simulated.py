@@ -11,7 +11,6 @@ from drivers.arms.path_checks import checked_move, checked_path
 from drivers.arms.path_end import slowed
 from drivers.arms.protocol import (
     ArmError,
-    ArmIdentity,
     ArmState,
     ArmTimeout,
     EmergencyStop,
@@ -24,6 +23,7 @@ from drivers.arms.protocol import (
     Tool,
 )
 from drivers.arms.recording import JointRecord
+from drivers.findings import ArmIdentity
 from drivers.plant import Plant
 from drivers.plant.factory import factory_calibration
 from drivers.plant.servo import GAIN, LOOKAHEAD_S, servo_rate
@@ -103,7 +103,7 @@ class SimulatedArm:
             model=model,
             serial=f"SIM-{self._name}",
             software="simulated",
-            dh_rows=None if own is None else own.rows,
+            dh_rows=None if own is None else tuple(map(tuple, own.rows.tolist())),
             dh_checksum="" if own is None else own.checksum,
         )
 

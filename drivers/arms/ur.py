@@ -24,17 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.arms.path_checks import checked_move, checked_path
-from drivers.arms.protocol import (
-    ArmIdentity,
-    ArmState,
-    JointLimits,
-    LimitExceeded,
-    LinkLost,
-    MotionStopped,
-    Tool,
-    WrongRobot,
-    stale,
-)
+from drivers.arms.protocol import ArmState, JointLimits, LimitExceeded, LinkLost, MotionStopped, Tool, WrongRobot, stale
 from drivers.arms.recording import JointRecord
 from drivers.arms.ur_checks import JOINTS, Check, UrExpectation, checks, held_by, load_checks
 from drivers.arms.ur_control import Refusal
@@ -45,6 +35,7 @@ from drivers.arms.ur_probe import UrProbe, probe_ur
 from drivers.arms.ur_rtde_reader import RtdeOutputs
 from drivers.arms.ur_supervised_link import ANSWER_WITHIN_S, CONFIRM_WITHIN_S, SupervisedLink, arm_error, arm_state
 from drivers.arms.ur_worker_process import HeartbeatGaps, WorkerGone, WorkerProcess
+from drivers.findings import ArmIdentity
 from drivers.patience import Patience
 
 LONGEST_PROBE_S = 5.0

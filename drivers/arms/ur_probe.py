@@ -20,7 +20,6 @@ from statistics import median
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.arms.protocol import JointLimits, LinkLost
 from drivers.arms.ur_links import (
@@ -87,19 +86,19 @@ _ANSWERS = {
 }
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class UrKinematics:
     """D-H parameters that the controller uses: nominal values plus its factory calibration.
 
     Attributes
     ----------
-    rows : array, shape (6, 4)
+    rows : tuple of rows
         Rows theta, d, a, alpha of ``A_i = rot_z(q_i + theta) trans(a, 0, d) rot_x(alpha)`` [rad, m, m, rad].
     checksum : str
         The checksums of the six joints as one text; empty without calibration (a simulator).
     """
 
-    rows: NDArray[np.float64]
+    rows: tuple[tuple[float, ...], ...]
     checksum: str
 
 
@@ -183,7 +182,7 @@ class UrProbe(UrPrimary):
             software=f"PolyScope {self.software}",
             state=", ".join(modes) or None,
             joints_c=None if self.sample is None else self.sample.joints_c,
-            dh_rows=None if kinematics is None else tuple(map(tuple, kinematics.rows.tolist())),
+            dh_rows=None if kinematics is None else kinematics.rows,
             dh_checksum=None if kinematics is None else kinematics.checksum,
         )
 
@@ -386,10 +385,10 @@ def parse_robot_state(state: bytes) -> UrPrimary:
                 tcp = _values(_CARTESIAN, payload, "tool's position")[6:]
         elif kind == _KINEMATICS_INFO:
             values = _values(_KINEMATICS, payload, "kinematics")
-            theta, a, d, alpha = np.reshape(values[6:30], (4, 6))
+            theta, a, d, alpha = np.reshape(values[6:30], (4, 6)).tolist()
             calibrated = values[30] and set(values[:6]) != {0xFFFFFFFF}
             checksum = "-".join(f"{value:08x}" for value in values[:6]) if calibrated else ""
-            kinematics = UrKinematics(np.column_stack([theta, d, a, alpha]), checksum)
+            kinematics = UrKinematics(tuple(zip(theta, d, a, alpha, strict=True)), checksum)
         elif kind == _CONFIGURATION:
             numbers = np.array(_values(_JOINT_LIMITS, payload, "joint limits")).reshape(12, 2)
             limits = JointLimits(position=numbers[:6], speed=numbers[6:, 0], acceleration=numbers[6:, 1])

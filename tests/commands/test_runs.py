@@ -20,7 +20,7 @@ from typer.testing import CliRunner
 
 from cellapp.cell.driving.requests import taking_requests
 from cellapp.cell.run import RunFile, SessionEnd
-from cellapp.cell.run.run_arms import CONTROLLERS_RESULT, ControllerIdentity, StoredIdentity, arm_identities
+from cellapp.cell.run.run_arms import CONTROLLERS_RESULT, StoredIdentity, arm_identities
 from cellapp.commands.run_results import read_results
 from cellapp.commands.runs.result import ArmHistory, RunsResult, RunSummary
 from cellapp.commands.runs.run import arm_history, list_runs, summarise
@@ -44,6 +44,7 @@ from cellapp.ground.job_client import JOB_FILE
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Traceability, TraceableArm
 from cellapp.ground.results import DISCOVER
+from drivers.findings import ArmIdentity
 from tests.cell.run.small_runs import (
     SPOILED,
     add_stop,
@@ -465,7 +466,7 @@ def test_the_command_says_and_writes(worn: Path, tmp_path: Path) -> None:
 def identities(folder: Path, profile: Profile, serials: dict[str, str]) -> dict[str, StoredIdentity]:
     with planned_run(folder, profile=profile) as run:
         if serials:
-            recorded = {name: ControllerIdentity("UR10", serial, "5.1", "") for name, serial in serials.items()}
+            recorded = {name: ArmIdentity("UR10", serial, "5.1") for name, serial in serials.items()}
             run.write_document(CONTROLLERS_RESULT, json.dumps({name: vars(one) for name, one in recorded.items()}))
         return dict(arm_identities(run))
 
@@ -498,6 +499,6 @@ def test_a_damaged_record_of_controllers_leaves_the_names(tmp_path: Path) -> Non
 def test_simulated_arms_have_no_serial_number_of_their_own(tmp_path: Path) -> None:
     profile = small_twin()
     with RunFile.create(tmp_path / "run", profile) as run:
-        recorded = {name: vars(ControllerIdentity("simulated", f"SIM-{name}", "", "")) for name in profile.arms}
+        recorded = {name: vars(ArmIdentity("simulated", f"SIM-{name}", "")) for name in profile.arms}
         run.write_document(CONTROLLERS_RESULT, json.dumps(recorded))
         assert {one.known_by for one in arm_identities(run).values()} == {"names"}

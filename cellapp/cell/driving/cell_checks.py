@@ -13,13 +13,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from pydantic import TypeAdapter
 
 from cellapp.cell.driving.cell import Cell
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.run_arms import CONTROLLERS_RESULT, STORED_CONTROLLERS, ControllerIdentity, recorded_controllers
+from cellapp.cell.run.run_arms import CONTROLLERS_RESULT, STORED_CONTROLLERS, recorded_controllers
 from cellapp.cell.safety.cell_bodies import require_arms
 from cellapp.cell.targets.prediction import Command
 from cellapp.cell.targets.ranges import conditions_of
@@ -35,6 +36,7 @@ from cellapp.robot.kinematics.chain import same_chain
 from cellapp.robot.model import ArmModel, CellModel
 from cellapp.robot.model.nominal import controller_rows, published_rows
 from drivers.arms.protocol import Arm, ArmError, stale
+from drivers.findings import ArmIdentity
 
 
 def check_controllers(run: RunFile, cell: Cell, *, insist: bool | None = None) -> tuple[str, ...]:
@@ -52,7 +54,7 @@ def check_controllers(run: RunFile, cell: Cell, *, insist: bool | None = None) -
         If the record is damaged.
     """
     recorded = recorded_controllers(run)
-    identities: dict[str, ControllerIdentity] = {}
+    identities: dict[str, ArmIdentity] = {}
     notes: list[str] = []
     changed: list[str] = []
     for name, arm in cell.arms.items():
@@ -89,19 +91,16 @@ def noting_controllers(run: RunFile, notes: list[str], *, insist: bool | None = 
     return opened
 
 
-def _query(arm: Arm) -> tuple[ControllerIdentity, tuple[str, ...]]:
+def _query(arm: Arm) -> tuple[ArmIdentity, tuple[str, ...]]:
     try:
         found = arm.identify()
         warnings = arm.warnings()
     except ArmError as error:
         raise HardwareError(str(error)) from error
-    rows = None
-    if found.dh_rows is not None and found.dh_checksum:
-        rows = tuple((theta, d, a, alpha) for theta, d, a, alpha in found.dh_rows.tolist())
-    return ControllerIdentity(found.model, found.serial, found.software, found.dh_checksum, rows), warnings
+    return found if found.dh_checksum else replace(found, dh_rows=None), warnings
 
 
-def _compare(name: str, before: ControllerIdentity, now: ControllerIdentity) -> list[str]:
+def _compare(name: str, before: ArmIdentity, now: ArmIdentity) -> list[str]:
     if before.serial and now.serial and before.serial != now.serial:
         raise HardwareError(
             f"arm {name}: the run began with controller {before.serial}, this one is {now.serial}; nothing was moved."
@@ -112,7 +111,7 @@ def _compare(name: str, before: ControllerIdentity, now: ControllerIdentity) -> 
     return []
 
 
-def _not_the_profiles(name: str, arm: ArmProfile, now: ControllerIdentity) -> list[str]:
+def _not_the_profiles(name: str, arm: ArmProfile, now: ArmIdentity) -> list[str]:
     """Return a message if the controller's calibration is not the one that is nominal in the profile; else empty."""
     if arm.factory is None or same_calibration(arm, now):
         return []
@@ -124,7 +123,7 @@ def _not_the_profiles(name: str, arm: ArmProfile, now: ControllerIdentity) -> li
     ]
 
 
-def same_calibration(arm: ArmProfile, controller: ControllerIdentity) -> bool:
+def same_calibration(arm: ArmProfile, controller: ArmIdentity) -> bool:
     """Return whether a controller computes with the rows that are nominal in the profile."""
     wanted, published = controller_rows(arm), published_rows(arm)
     has = published if controller.dh_rows is None else np.array(controller.dh_rows)
@@ -143,9 +142,9 @@ def require_same_arms(profile: Profile, model: CellModel, commands: Sequence[Com
         raise InputError("push: there are no targets; give a list with at least one")
     require_arms(profile, model)
     for command in commands:
-        if command.arm not in profile.arms:
+        if command.record.arm not in profile.arms:
             raise InputError(
-                f"push: target '{command.target.name}' is for arm '{command.arm}', the profile has arms"
+                f"push: target '{command.target.name}' is for arm '{command.record.arm}', the profile has arms"
                 f" {', '.join(profile.arms)}; nothing was moved. Give the target list of this cell"
             )
     for name, arm in profile.arms.items():
@@ -220,14 +219,14 @@ def known_payload(arm: Arm, load_kg: float) -> str:
 def _wrong_payloads(run: RunFile, cell: Cell, commands: Sequence[Command]) -> Iterator[str]:
     """Yield the controllers' payloads that do not fit a target or the run, as text; skip controllers without one."""
     ranges = _payload_ranges(run)
-    for name in dict.fromkeys(command.arm for command in commands):
+    for name in dict.fromkeys(command.record.arm for command in commands):
         try:
             has_kg = cell.arms[name].tool().payload_kg
         except ArmError as error:
             raise HardwareError(str(error)) from error
         if has_kg is None:
             continue
-        own = [command for command in commands if command.arm == name]
+        own = [command for command in commands if command.record.arm == name]
         for stated_kg in dict.fromkeys(conditions_of(command.target, name).payload for command in own):
             low, high = ranges[name] if stated_kg is None else (stated_kg, stated_kg)
             several = high - low > SAME_PAYLOAD_KG

@@ -14,7 +14,7 @@ from itertools import combinations
 
 import numpy as np
 
-from cellapp.cell.driving.measuring import APART_M, MISSED, FoundPoint, SmrSearch
+from cellapp.cell.driving.measuring import APART_M, MOST_MISSED, FoundPoint, SmrSearch
 from cellapp.cell.driving.motion import MotionRefused, Mover, reading_of
 from cellapp.cell.driving.target_visit import drive_to
 from cellapp.cell.planning.planned_stops import tell_time, visits_s
@@ -156,7 +156,7 @@ class _Checking:
             return found
         self.driven.notes.append(found)
         self._missed[name] += 1
-        if self._missed[name] >= MISSED[any(one.arm == name for one in self.search.found)]:
+        if self._missed[name] >= MOST_MISSED[any(one.arm == name for one in self.search.found)]:
             self.driven.lost.append(name)
             self.driven.notes.append(
                 f"arm {name}: its SMR was not found at {counted(self._missed[name], 'stop')} in a row and is not"

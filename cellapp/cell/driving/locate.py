@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from cellapp.cell.driving.measuring import APART_M, MISSED, FoundPoint, SmrSearch, points_of
+from cellapp.cell.driving.measuring import APART_M, MOST_MISSED, FoundPoint, SmrSearch, points_of
 from cellapp.cell.driving.motion import MotionRefused, Mover, Vector
 from cellapp.cell.driving.target_visit import drive_to
 from cellapp.cell.safety.cell_bodies import clear_with_others, visible_with_others
@@ -199,7 +199,7 @@ class _Measuring:
         if isinstance(found, str):
             self.notes.append(found)
             self._missed += 1
-            if self._missed >= MISSED[bool(self.found)]:
+            if self._missed >= MOST_MISSED[bool(self.found)]:
                 raise HardwareError(self._lost_words(name))
             return False
         self._missed = 0

@@ -39,7 +39,8 @@ from drivers.trackers.protocol import NotReady, TargetLost, Unstable, WrongTarge
 
 Measure = Callable[[], PointAtRest]
 
-_MISSED = (TargetLost, WrongTarget, Unstable)
+_NO_POINT = (TargetLost, WrongTarget, Unstable)
+"""Faults by which one measurement fails, not the tracker."""
 
 
 def measured_at_arm(supervisor: CellSupervisor, name: str, q: Vector) -> PointAtRest:
@@ -68,7 +69,7 @@ def _patient(supervisor: CellSupervisor, what: str, measure: Measure) -> PointAt
     def ready() -> bool:
         try:
             found.append(measure())
-        except (*_MISSED, NotReady):
+        except (*_NO_POINT, NotReady):
             return False
         return True
 
@@ -78,7 +79,7 @@ def _patient(supervisor: CellSupervisor, what: str, measure: Measure) -> PointAt
         except NotReady as error:
             if not supervisor.suspended("tracker_warm_up", str(error), supervisor.tracker_ready):
                 raise HardwareError(f"{what}: {error}") from error
-        except _MISSED as error:
+        except _NO_POINT as error:
             if not supervisor.suspended("target", f"{what}: {error}", ready):
                 raise
             return found[0]
@@ -218,7 +219,7 @@ class References:
         for reference, at_reference in measure.items():
             try:
                 points[reference] = at_reference()
-            except _MISSED as error:
+            except _NO_POINT as error:
                 self.supervisor.record("reference", f"{reference}: not measured: {error}")
         return points
 
@@ -255,8 +256,8 @@ _LATTICE_M = 0.057
 cubic lattice, and every tracker's driver accepts an SMR within at least 50 mm."""
 _KNOWN_M = 1e-3
 """Prediction error [m] below which the station is not fitted again: it is far within the smallest search radius."""
-MISSED = {False: 2, True: 3}
-"""Consecutive SMRs that are not found after which the search ends: if none was found before, and if one was."""
+MOST_MISSED = {False: 2, True: 3}
+"""Consecutive SMRs that are not found after which the search ends, by whether one was found before."""
 APART_M = 0.4
 """Least distance [m] between SMRs that are present at the same time: more than twice the largest search radius, so that
 none is mistaken for another."""
@@ -341,7 +342,7 @@ class SmrSearch:
                 point = self.mover.measure_at(expected + offset, f"arm {name}", reach_m + _LATTICE_M, 1, at)
                 again = (self.mover.measure_at(point.p_M, f"arm {name}", at=at) for _ in range(self.repeats - 1))
                 points = [point, *again]
-            except _MISSED as error:
+            except _NO_POINT as error:
                 problem = problem or str(error)
                 continue
             off_m = float(np.linalg.norm(point.p_M - expected))

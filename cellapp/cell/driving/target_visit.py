@@ -31,7 +31,6 @@ from cellapp.cell.driving.verification import (
     rms_error_m,
 )
 from cellapp.cell.planning.planned_stops import orders, tell_time, visits_s
-from cellapp.cell.targets.invert import STEP_BACK_RAD, invert, with_approach
 from cellapp.cell.targets.prediction import Command
 from cellapp.cell.targets.ranges import conditions_of
 from cellapp.cell.targets.records import VerifyResult
@@ -44,6 +43,7 @@ from cellapp.ground.profile import Profile
 from cellapp.robot.effects import EFFECTS, InputVariable
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel, CellModel
+from cellapp.robot.model.inverse import STEP_BACK_RAD, invert, with_approach
 from drivers.arms.protocol import ArmState
 from drivers.trackers.protocol import TargetLost, TrackerError, WrongTarget
 
@@ -138,19 +138,20 @@ class TargetVisit:
         A refused motion, measurement or correction becomes a note; what stops the cell raises an exception.
         """
         held = commands[0].target.holds_first
-        found = Findings({command.arm: command for command in commands}, corrected=self.rounds > 0 and not held)
+        found = Findings({command.record.arm: command for command in commands}, corrected=self.rounds > 0 and not held)
         if self.rounds and held:
-            found.note([commands[0].arm], "not corrected by measuring: the first arm keeps its command")
+            found.note([commands[0].record.arm], "not corrected by measuring: the first arm keeps its command")
         for name, command in found.commands.items():
-            partners = [f"arm {one.arm}: {one.refusal}" for one in commands if one is not command and one.refusal]
-            if command.refusal:
-                found.note([name], command.refusal)
+            others = [one.record for one in commands if one is not command]
+            partners = [f"arm {one.arm}: {one.refusal}" for one in others if one.refusal]
+            if command.record.refusal:
+                found.note([name], command.record.refusal)
             elif partners:
                 found.note([name], "; ".join(partners))
-            elif self.verify and command.visible is False:
+            elif self.verify and command.record.visible is False:
                 found.note([name], _UNSEEN)
-        unseen = self.verify and all(command.visible is False for command in commands)
-        if not unseen and not any(command.refusal for command in commands):
+        unseen = self.verify and all(command.record.visible is False for command in commands)
+        if not unseen and not any(command.record.refusal for command in commands):
             try:
                 self._drive(found)
             except MotionRefused as error:
@@ -173,13 +174,14 @@ class TargetVisit:
             return
         if found.corrected:
             self._correct(found, states)
-        if all(command.q_nominal is not None for command in found.commands.values()):
+        if all(command.record.q_nominal is not None for command in found.commands.values()):
             found.nominal = self._measure("nominal", found, *self._go("nominal", found))
 
     def _go(self, kind: CommandKind, found: Findings) -> tuple[States, Mapping[str, Vector]]:
         """Drive all arms of a target to their commands of one kind; return their states and the sent positions."""
         nominal = kind == "nominal"
-        q = {name: np.asarray(one.q_nominal if nominal else one.q_compensated) for name, one in found.commands.items()}
+        records = {name: one.record for name, one in found.commands.items()}
+        q = {name: np.array(one.q_nominal if nominal else one.q_compensated) for name, one in records.items()}
         if nominal:
             return drive_to(self.mover, q, {}), q
         sides, sent = self._sides(found), dict[str, Vector]()
@@ -202,7 +204,7 @@ class TargetVisit:
             if command.stated_approach is not None:
                 sides[name] = np.array(command.stated_approach, dtype=np.float64)
             elif last_motion_matters(self.model.arms[name]):
-                sides[name] = np.sign(np.asarray(command.q_compensated) - here[name])
+                sides[name] = np.sign(np.asarray(command.record.q_compensated) - here[name])
         return sides
 
     def _measure(self, kind: CommandKind, found: Findings, states: States, sent: Mapping[str, Vector]) -> Rest:
@@ -212,7 +214,7 @@ class TargetVisit:
         for name, command in found.commands.items():
             nominal = kind == "nominal"
             wanted_M = command.nominal_M if nominal else command.expected_M
-            if wanted_M is None or command.visible is False:
+            if wanted_M is None or command.record.visible is False:
                 continue
             dwell_s = conditions_of(command.target, name).dwell
             if dwell_s is not None:
@@ -441,8 +443,8 @@ def push(
     """
     control, visited = control or JobControl(), [] if visited is None else visited
     require_same_arms(profile, model, commands)
-    if not any(command.q_compensated is not None for command in commands):
-        raise InputError("push: none of the targets can be commanded: " + commands[0].refusal)
+    if not any(command.record.q_compensated is not None for command in commands):
+        raise InputError("push: none of the targets can be commanded: " + commands[0].record.refusal)
     by_target = grouped((command.target.name, command) for command in commands)
     judge, agreement, total, stopped = judge or Judge(profile), Agreement(), len(by_target), ""
     with moving_cell(profile, model, control, confirm=confirm, opened=opened) as mover:
@@ -450,7 +452,8 @@ def push(
             model=model, mover=mover, verify=verify, rounds=rounds, repeatability_m=repeatability_m or {}
         )
         if verify:
-            sent = [{one.arm: q} for one in commands for q in (one.q_nominal, one.q_compensated) if q is not None]
+            records = [one.record for one in commands]
+            sent = [{one.arm: np.array(q)} for one in records for q in (one.q_nominal, one.q_compensated) if q]
             tell_time(control, "push", profile, visits_s(profile, sent), 0, total)
         for done, (name, own) in enumerate(by_target.items()):
             mover.hold()

@@ -173,7 +173,7 @@ class Findings:
         for name, command in self.commands.items():
             measured = [rest[name] for rest in (self.nominal, *self.rounds[:1]) if name in rest]
             if measured or name in self.lost:
-                found[name] = disagreement(measured, command.within_mm) if measured else self.lost[name]
+                found[name] = disagreement(measured, command.record.within_mm) if measured else self.lost[name]
         return found
 
     def targets(self, judge: Judge) -> list[MeasuredTarget]:
@@ -215,44 +215,43 @@ class Findings:
 
         ``expanded_mm`` is that of the distance; a lever adds the uncertainty of the first flange's rotation.
         """
-        first, second = self.commands.values()
+        first, second = (one.record for one in self.commands.values())
         kept = self.rounds[self.best] if self.rounds else {}
         off = [_relative_error(rest, first.arm, second.arm) for rest in (self.nominal, *self.rounds[:1], kept)]
         if len(off) < 3 or off[1] is None or off[2] is None:
             return None
         (nominal_mm, nominal_mrad), (mm, mrad) = off[0] or (None, None), off[2]
-        stated, target, predicted = (first.orientation, second.orientation), first.target, second.relative
-        expanded = None
+        stated, expanded = (first.orientation, second.orientation), None
         if stated[0] is not None and stated[1] is not None:
             budgets = [
-                angle_budget(judge.profile, command.arm, rotation.model_mrad, rotation.noise_mrad)
-                for command, rotation in ((first, stated[0]), (second, stated[1]))
+                angle_budget(judge.profile, one.arm, rotation.model_mrad, rotation.noise_mrad)
+                for one, rotation in ((first, stated[0]), (second, stated[1]))
             ]
             expanded, lever = expanded_mrad([*budgets[0], *budgets[1]]), expanded_mrad(budgets[0])
             apart_m = float(np.linalg.norm(kept[second.arm].point.p_M - kept[first.arm].point.p_M))
             if expanded_mm is not None:
                 expanded_mm = None if lever is None else math.hypot(expanded_mm, apart_m * lever)
         return MeasuredRelative.like(
-            predicted,
+            second.relative,
             nominal_mm=nominal_mm,
             compensated_mm=off[1][0],
             final_mm=mm,
             expanded_mm=expanded_mm,
-            position_verdict=judge.verdict(mm, expanded_mm, target.tolerance_mm),
+            position_verdict=judge.verdict(mm, expanded_mm, first.tolerance_mm),
             nominal_mrad=nominal_mrad,
             compensated_mrad=off[1][1],
             final_mrad=mrad,
             expanded_mrad=expanded,
-            verdict=judge.verdict(mrad, expanded, target.orientation_tolerance_mrad),
+            verdict=judge.verdict(mrad, expanded, first.orientation_tolerance_mrad),
         )
 
     def _expanded_mm(self, rest: Rest, judge: Judge) -> float | None:
         """Return the expanded uncertainty [mm] of an arm's error, or of the distance error of two arms."""
-        parts = {name: None if one.prediction is None else one.prediction.parts for name, one in self.commands.items()}
+        parts = {name: one.record.parts for name, one in self.commands.items()}
         return judge.expanded_mm({name: one.point.p_M for name, one in rest.items()}, parts)
 
     def _target(self, command: Command, judge: Judge) -> MeasuredTarget:
-        target, name = command.target, command.arm
+        target, name = command.target, command.record.arm
         rounds = [rest[name] for rest in self.rounds if name in rest]
         alone, kept = (rounds[0], rounds[self.best]) if rounds else (None, None)
         nominal = self.nominal.get(name)
@@ -270,7 +269,7 @@ class Findings:
             predicted_M=_point(None if alone is None else alone.predicted_M),
             measured_M=_point(None if alone is None else alone.point.p_M),
             q=None if alone is None else tuple(alone.q.tolist()),
-            within_mm=command.within_mm,
+            within_mm=command.record.within_mm,
             rounds_mm=tuple(one.error_m * 1e3 for one in rounds) if self.corrected else (),
             corrected_mm=_error_mm(corrected),
             q_corrected=None if corrected is None else tuple(corrected.sent.tolist()),
@@ -287,17 +286,17 @@ def _rotation(
     angles = [_rotation_mrad(one) for one in (nominal, alone, kept)]
     if all(angle is None for angle in angles):
         return None
-    stated = command.orientation
-    expanded = None
+    record, expanded = command.record, None
+    stated = record.orientation
     if stated is not None:
-        expanded = expanded_mrad(angle_budget(judge.profile, command.arm, stated.model_mrad, stated.noise_mrad))
+        expanded = expanded_mrad(angle_budget(judge.profile, record.arm, stated.model_mrad, stated.noise_mrad))
     return MeasuredRotation.like(
         stated,
         nominal_mrad=angles[0],
         compensated_mrad=angles[1],
         final_mrad=angles[2],
         expanded_mrad=expanded,
-        verdict=judge.verdict(angles[2], expanded, command.target.orientation_tolerance_mrad),
+        verdict=judge.verdict(angles[2], expanded, record.orientation_tolerance_mrad),
     )
 
 

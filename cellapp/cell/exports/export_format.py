@@ -6,13 +6,12 @@ Declarations of formats. A new format is a module that ends with its declaration
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from cellapp.cell.exports.arm_export import ArmExport
 from cellapp.cell.safety.gate import CellBodies, refuse_motion
-from cellapp.cell.targets.invert import STEP_BACK_RAD, with_approach
 from cellapp.cell.targets.ranges import signs_words
 from cellapp.cell.targets.records import MeasuredTarget, TargetCommand
 from cellapp.ground.errors import InputError
@@ -20,6 +19,7 @@ from cellapp.ground.profile import Arm, Profile
 from cellapp.robot.kinematics.chain import Geometry, plain_geometry
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import CellModel
+from cellapp.robot.model.inverse import STEP_BACK_RAD, with_approach
 
 
 @dataclass(frozen=True)
@@ -172,11 +172,14 @@ class Format:
         What the file is, in a few words.
     suffix : str
         Usual file name suffix.
+    lists_effects : bool
+        Whether the file lists the values of effects, though no chain computes them.
     """
 
     name: str
     what: str
     suffix: str
+    lists_effects: bool = field(default=False, kw_only=True)
 
 
 @dataclass(frozen=True)
@@ -191,14 +194,11 @@ class ExportFormat(Format):
         Function that returns the chain represented by the file's numbers, from the identified chain.
     smr : callable
         Function that returns the SMR centre (3,) [m] in the last frame of the file.
-    lists_effects : bool
-        Whether the file lists the values of effects, though no chain computes them.
     """
 
     text: Text
     held: Callable[[Geometry], Geometry] = lambda geometry: geometry
     smr: Callable[[ArmExport], Array] = lambda export: export.geometry.tool
-    lists_effects: bool = False
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cellapp.cell.programs.records import ArmPlace, CorrectedTarget, CorrectResult, ProgramTarget, ReadProgram
 from cellapp.cell.programs.script_targets import six
@@ -25,7 +26,7 @@ from cellapp.ground.profile import Arm, Profile
 from cellapp.robot.effects import EFFECTS, MeasurementConditions
 from cellapp.robot.effects.law import InputVariable
 from cellapp.robot.kinematics.chain import Geometry, flange_poses
-from cellapp.robot.kinematics.inverse import Inverted, all_branches, shifted_into, solve_pose
+from cellapp.robot.kinematics.inverse import Inverted, all_branches, errors_and_jacobian, newton, shifted_into
 from cellapp.robot.kinematics.transforms import Array, invert, rotation_from_vector, rotation_vectors, transform
 from cellapp.robot.model import ArmModel, CellModel
 
@@ -278,9 +279,9 @@ def _corrected(target: ProgramTarget, *, q_new: Array, meant: Array, told: Array
 # Joint targets mean the pose that the controller computes for them.
 
 
-_ROUNDS = 12
-"""Maximum number of fixed-point iterations of ``aim``: each gains two decades, as model corrections vary slowly."""
-_SAME_ROTATION = 1e-10
+_ROUNDS = 30
+"""Maximum number of iterates of ``aim``: each gains two decades, but beside a singularity."""
+_SAME_ROTATION = 1e-12
 """Residual [m, rad] at which that iteration ends: far below any controller's resolution."""
 _MARGIN = np.radians(2.0)
 """Margin [rad] of the joint ranges of the readings. Model corrections vary over tens of degrees, and a correction alone
@@ -334,18 +335,15 @@ def true_flange(arm: ArmModel, q: Array, conditions: MeasurementConditions) -> A
 def aim(arm: ArmModel, wanted_M: Array, start: Array, conditions: MeasurementConditions) -> Inverted:
     """Find joint positions near ``start`` (n, N) at which the model puts the flange at ``wanted_M`` (n, 4, 4)."""
     chain = replace(arm.geometry, tool=np.zeros(3))
-    aimed, q = wanted_M.copy(), start
-    shift = angle = np.full(len(start), np.inf)
-    for _ in range(_ROUNDS):
-        q = solve_pose(chain, aimed[:, :3, 3], aimed[:, :3, :3], q).q
-        reached = true_flange(arm, q, conditions)
-        off = wanted_M[:, :3, 3] - reached[:, :3, 3]
-        rotation = wanted_M[:, :3, :3] @ reached[:, :3, :3].transpose(0, 2, 1)
-        shift, angle = np.linalg.norm(off, axis=1), np.linalg.norm(rotation_vectors(rotation), axis=1)
-        if max(shift.max(initial=0.0), angle.max(initial=0.0)) < _SAME_ROTATION:
-            break
-        aimed = _poses(rotation @ aimed[:, :3, :3], aimed[:, :3, 3] + off)
-    return Inverted(q, shift, angle, _SAME_ROTATION)
+
+    def errors(rows: NDArray[np.intp], q: Array) -> tuple[Array, Array]:
+        reached, wanted = true_flange(arm, q, conditions.take(rows)), wanted_M[rows]
+        _, J = errors_and_jacobian(chain, wanted[:, :3, 3], wanted[:, :3, :3], q)
+        rotation = rotation_vectors(wanted[:, :3, :3] @ reached[:, :3, :3].transpose(0, 2, 1))
+        return np.concatenate([wanted[:, :3, 3] - reached[:, :3, 3], rotation], axis=1), J
+
+    fixed = np.zeros(len(start), dtype=np.bool_)
+    return newton(errors, start, fixed, rounds=_ROUNDS, same=_SAME_ROTATION, within=_RESIDUAL)
 
 
 def branches(chain: Geometry, poses: Array, limits: Array, near: Array, seed: int) -> list[Array]:

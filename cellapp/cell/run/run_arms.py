@@ -17,6 +17,7 @@ from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.sqlite_file import utc_now
 from cellapp.ground.errors import InputError
 from cellapp.ground.progress import Halt
+from drivers.findings import ArmIdentity
 
 IdentityBasis = Literal["controller", "profile", "names"]
 """An arm is known by the serial number of its controller, by that in the profile, or only by the names of profile and
@@ -25,21 +26,8 @@ CONTROLLERS_RESULT = "controllers"
 """Name of the stored result: arm -> identity of its controller."""
 
 
-@dataclass(frozen=True)
-class ControllerIdentity:
-    """Identity that a controller reports; ``dh_checksum`` identifies the factory calibration of its D-H rows.
-
-    ``dh_rows`` are the rows theta, d, a, alpha of such a calibration [rad, m]; None without one.
-    """
-
-    model: str
-    serial: str
-    software: str
-    dh_checksum: str
-    dh_rows: tuple[tuple[float, float, float, float], ...] | None = None
-
-
-STORED_CONTROLLERS = TypeAdapter(dict[str, ControllerIdentity])
+STORED_CONTROLLERS = TypeAdapter(dict[str, ArmIdentity])
+"""Rows of D-H are stored only where they are of a factory calibration, which has a checksum."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +43,7 @@ class StoredIdentity:
         return self.known_by == other.known_by and bool(self.serial) and self.serial != other.serial
 
 
-def recorded_controllers(run: RunFile) -> dict[str, ControllerIdentity]:
+def recorded_controllers(run: RunFile) -> dict[str, ArmIdentity]:
     """Return the controllers that a run has recorded, by arm. Raise ``InputError`` if the record is damaged."""
     return run.read_checked(CONTROLLERS_RESULT, STORED_CONTROLLERS, {}, "start a new run")
 
@@ -65,7 +53,7 @@ def arm_identities(run: RunFile) -> Mapping[str, StoredIdentity]:
 
     A simulated arm has no serial number of its own: all of them report the same one.
     """
-    controllers, found = dict[str, ControllerIdentity](), dict[str, StoredIdentity]()
+    controllers, found = dict[str, ArmIdentity](), dict[str, StoredIdentity]()
     with suppress(InputError):  # a damaged record: names then identify the arms
         controllers = recorded_controllers(run)
     for name, arm in run.profile.arms.items():

@@ -9,26 +9,27 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions, require_arms, visible_with_others
 from cellapp.cell.safety.gate import CellBodies, refuse_stop
-from cellapp.cell.targets.goals import ArmGoals, goals_of_arm
-from cellapp.cell.targets.invert import (
+from cellapp.cell.targets.branches import (
     LARGEST_CORRECTION,
     Branches,
     Picked,
     Positions,
     admissible_configurations,
     choose,
-    invert,
     judged_branches,
 )
+from cellapp.cell.targets.goals import ArmGoals, goals_of_arm
 from cellapp.cell.targets.prediction import (
     Command,
     Predicted,
+    holds_for,
     outside_notes,
     predicted_relative,
     predicted_rotations,
@@ -50,6 +51,7 @@ from cellapp.robot.kinematics.chain import Geometry
 from cellapp.robot.kinematics.inverse import Inverted, all_branches, errors_and_jacobian, missed_distances, solve_pose
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel, CellModel
+from cellapp.robot.model.inverse import invert
 
 _TOGETHER_ROUNDS = 2
 """Iterations for two arms that act on each other: in the second one their interaction changes by a thousandth."""
@@ -198,7 +200,7 @@ def _commands(group: _Group) -> dict[str, list[Command]]:
         (_, first), (_, second) = each.values()
         relative = predicted_relative(first, second, *tolerances)
         for k, one in zip(rows.tolist(), relative, strict=True):
-            found[group.targets[k].arms[1]][k] = replace(found[group.targets[k].arms[1]][k], relative=one)
+            found[group.targets[k].arms[1]][k] = found[group.targets[k].arms[1]][k].recording(relative=one)
     return found
 
 
@@ -226,26 +228,29 @@ def _of_arm(
     seen = visible_with_others(group.cell, group.homes, name, at)
     payloads = conditions_payload(conditions, arm.bodies.payload_mass, len(rows))
     for place, k in enumerate(rows.tolist()):
-        rotated = float(found.residual_rad[place])
-        commands[k] = replace(
+        rotated, tolerance_mm = float(found.residual_rad[place]), group.targets[k].tolerance_mm
+        known: Mapping[str, Any] = {"verdict": "" if tolerance_mm is None else "not decided"}
+        command = replace(
             commands[k],
-            q_nominal=q_nominal[k],
-            q_compensated=found.q[place],
+            conditions=conditions.take(np.array([place])),
             expected_M=goal.position_M[k],
             nominal_M=goal.nominal_position_M[k],
+            rotation_M=goal.rotation_M[k],
+            nominal_rotation_M=goal.nominal_rotation_M[k],
+        ).recording(
+            **(known if (its := predicted[place]) is None else vars(its)),
             refusal="",
+            q_nominal=tuple(q_nominal[k].tolist()),
+            q_compensated=tuple(found.q[place].tolist()),
             visible=bool(seen[place]),
             residual_um=float(found.residual_m[place]) * 1e6,
             residual_urad=None if np.isnan(rotated) else rotated * 1e6,
-            conditions=conditions.take(np.array([place])),
             approach=tuple(map(int, signs[place])) if signs[place].any() else None,
             payload_kg=float(payloads[place]),
             note=notes[place],
-            prediction=predicted[place],
             orientation=rotations[place],
-            rotation_M=goal.rotation_M[k],
-            nominal_rotation_M=goal.nominal_rotation_M[k],
         )
+        commands[k] = command.recording(holds_for=holds_for(command))
     return commands, Predicted(arm, found.q, conditions, home, predicted, rotations)
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import scipy
@@ -424,19 +425,7 @@ def relative_covariances(first: Predicted, second: Predicted) -> tuple[tuple[Arr
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Prediction:
-    """Uncertainty of the SMR's position at a command. Distances in mm, for people.
-
-    Attributes
-    ----------
-    uncertainty_mm : float
-        Standard uncertainty of a measured coordinate, with all parts.
-    parts : UncertaintyParts
-    within_mm : float
-        Distance from the target that a measurement does not exceed with 95 % probability; with the same parts.
-    unknown : tuple of UnknownCondition
-    verdict : str
-        Verdict against the tolerance.
-    """
+    """Uncertainty of the SMR's position at a command, under the names of ``TargetCommand``."""
 
     uncertainty_mm: float
     parts: UncertaintyParts
@@ -447,111 +436,54 @@ class Prediction:
 
 @dataclass(frozen=True, eq=False)
 class Command:
-    """Joint positions to send for one target.
+    """The command of an arm for one target as it is stored, and what driving and measuring it needs.
 
     Attributes
     ----------
     target : Target
-    arm : str
-        Arm; a cooperative target has one command for each of its arms.
-    q_nominal, q_compensated : array, shape (N,), or None
-        Joint positions [rad] from the published and from the calibrated model, the latter for joints that arrive as
-        ``approach`` says; None if the target was refused.
-    expected_M, nominal_M : array, shape (3,), or None
-        Expected measurement of the SMR [m]: the target relative to the calibrated and to the nominal base.
-    refusal : str
-        Why the target is not commanded; empty if it is.
-    branches : int or None
-        Number of inverse solutions within the joint limits.
-    visible : bool or None
-        Whether the tracker sees the SMR at the compensated command.
-    residual_um, residual_urad : float or None
-        Distance and angle by which the calibrated model misses the target; the angle is None if it is free.
-    note : str
-        What to know about a command that is not refused.
+    record : TargetCommand
+        A cooperative target has one for each of its arms.
     conditions : MeasurementConditions or None
         Working conditions that the command was computed for (one row), including the side of approach.
-    approach : signs or None
-        Sign of each joint's last motion that the command is for: as stated, else, if it matters, as on the way from
-        home; None if any side will do.
-    payload_kg : float or None
-        Payload that the command was computed for, stated or the profile's.
-    prediction : Prediction or None
-        None if the model states no uncertainty.
-    orientation : PredictedRotation or None
-        None if no orientation of the arm was measured.
-    relative : PredictedRelative or None
-        Of the partner of a cooperative target, where orientations of both arms were measured.
+    expected_M, nominal_M : array, shape (3,), or None
+        Expected measurement of the SMR [m]: the target relative to the calibrated and to the nominal base; None if the
+        target was refused.
     rotation_M, nominal_rotation_M : array, shape (3, 3), or None
         Rotation of the flange at ``expected_M`` and ``nominal_M``; NaN if any will do.
     """
 
     target: Target
-    arm: str
-    q_nominal: Array | None
-    q_compensated: Array | None
-    expected_M: Array | None
-    nominal_M: Array | None
-    refusal: str
-    branches: int | None = None
-    visible: bool | None = None
-    residual_um: float | None = None
-    residual_urad: float | None = None
-    note: str = ""
+    record: TargetCommand
     conditions: MeasurementConditions | None = None
-    approach: tuple[int, ...] | None = None
-    payload_kg: float | None = None
-    prediction: Prediction | None = None
-    orientation: PredictedRotation | None = None
-    relative: PredictedRelative | None = None
+    expected_M: Array | None = None
+    nominal_M: Array | None = None
     rotation_M: Array | None = None
     nominal_rotation_M: Array | None = None
 
     @property
-    def uncertainty_mm(self) -> float | None:
-        """Standard uncertainty [mm] of a measured coordinate; None if the model states none."""
-        return None if self.prediction is None else self.prediction.uncertainty_mm
-
-    @property
-    def within_mm(self) -> float | None:
-        """Distance [mm] from the target that a measurement does not exceed with 95 % probability; None if unknown."""
-        return None if self.prediction is None else self.prediction.within_mm
-
-    @property
     def stated_approach(self) -> tuple[int, ...] | None:
         """Side of each joint that the target states; None if it states none."""
-        return self.target.approach if self.arm == self.target.arm else None
+        return self.target.approach if self.record.arm == self.target.arm else None
+
+    def recording(self, **known: Any) -> Command:
+        """Return it with other fields of its record, of their types."""
+        return replace(self, record=self.record.model_copy(update=known))
 
 
 def refused(target: Target, arm: str, refusal: str, branches: int | None = None) -> Command:
     """Return the command of a refused target, with the reason."""
-    return Command(target, arm, None, None, None, None, refusal, branches)
+    own = dict(target_record(target, arm))
+    return Command(target, TargetCommand(**own, refusal=refusal, q_nominal=None, q_compensated=None, branches=branches))
 
 
-def command_record(command: Command) -> TargetCommand:
-    """Return a command as a result record."""
-    target, found = command.target, command.prediction
-    judged: ToleranceVerdict = "" if command.refusal or target.tolerance_mm is None else "not decided"
-    return TargetCommand.like(
-        command,
-        **dict(target_record(target, command.arm)),
-        q_nominal=None if command.q_nominal is None else tuple(command.q_nominal.tolist()),
-        q_compensated=None if command.q_compensated is None else tuple(command.q_compensated.tolist()),
-        parts=None if found is None else found.parts,
-        unknown=() if found is None else found.unknown,
-        holds_for="" if command.q_compensated is None else _holds_for(command),
-        verdict=judged if found is None else found.verdict,
-    )
-
-
-def _holds_for(command: Command) -> str:
-    """Return what the compensated command is valid for: sides, payload, and conditions that its target states."""
-    parts = ["any side of approach"]
-    if command.approach is not None and any(command.approach):
-        parts = [f"joints that arrive with the signs {signs_words(command.approach)}"]
-    stated = conditions_of(command.target, command.arm)
+def holds_for(command: Command) -> str:
+    """Return what a compensated command is valid for: sides, payload, and conditions that its target states."""
+    parts, record = ["any side of approach"], command.record
+    if record.approach is not None and any(record.approach):
+        parts = [f"joints that arrive with the signs {signs_words(record.approach)}"]
+    stated = conditions_of(command.target, record.arm)
     for prefix, value, words in (
-        ("payload ", command.payload_kg, "kg"),
+        ("payload ", record.payload_kg, "kg"),
         ("", stated.temperature, "degC"),
         ("", stated.time, "s after the run began"),
         ("", stated.dwell, "s at rest"),

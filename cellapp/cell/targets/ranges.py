@@ -46,7 +46,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.targets.invert import invert
 from cellapp.cell.targets.records import UnknownCondition
 from cellapp.cell.targets.targets import Target, WorkingConditions
 from cellapp.estimation.calibration.quantities import measurement_conditions
@@ -65,6 +64,7 @@ from cellapp.robot.kinematics.chain import JointAngles, jacobian, joint_jacobian
 from cellapp.robot.kinematics.inverse import Inverted
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
+from cellapp.robot.model.inverse import invert
 
 
 def conditions_of(target: Target, arm: str) -> WorkingConditions:

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from datetime import date
 from typing import Any
 
-from cellapp.cell.run.run_arms import ControllerIdentity
 from cellapp.cell.targets.records import ArmVerification, VerifyResult
 from cellapp.commands.certificate.judgements import found_in, judge_run, orientation_budget
 from cellapp.commands.certificate_result import (
@@ -35,6 +34,7 @@ from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Instrument
 from cellapp.ground.results import CERTIFICATE, VERIFY, Record, best_method, day_of
+from drivers.findings import ArmIdentity
 
 _METHOD = (
     "Each target is driven with the command of the published geometry and with the compensated one. While the arm"
@@ -47,7 +47,7 @@ def certificate_of(
     profile: Profile,
     results: RunResults,
     conditions: Mapping[str, MeasuredConditions],
-    controllers: Mapping[str, ControllerIdentity],
+    controllers: Mapping[str, ArmIdentity],
     measured: tuple[str, ...],
     program: str,
     **stated: Any,
@@ -112,7 +112,7 @@ def _arm(
     results: RunResults,
     arm: str,
     conditions: Mapping[str, MeasuredConditions],
-    controllers: Mapping[str, ControllerIdentity],
+    controllers: Mapping[str, ArmIdentity],
 ) -> CertifiedArm:
     """Return what identifies an arm, the conditions of its readings, and its errors."""
     stated, controller = profile.traceability.arms.get(arm), controllers.get(arm)

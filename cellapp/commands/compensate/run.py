@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,7 @@ from cellapp.cell.run.recordings import known_readings
 from cellapp.cell.targets.compensate import compensate
 from cellapp.cell.targets.goals import UNPLACED, commanded_profile, is_unplaced
 from cellapp.cell.targets.path import PathPlan, PathResult, PathSpec, holds_paths, load_paths, path_record, plan_path
-from cellapp.cell.targets.prediction import Command, command_record
+from cellapp.cell.targets.prediction import Command
 from cellapp.cell.targets.ranges import ConditionRanges
 from cellapp.cell.targets.records import CompensateResult
 from cellapp.cell.targets.targets import Target, load_targets
@@ -105,10 +104,10 @@ def compensate_targets(
     commands = compensate(commanded_profile(profile, readings), model, targets, ranges=ranges)
     unknown = [UNPLACED] if is_unplaced(profile) else []
     if unknown:
-        commands = tuple(replace(one, visible=None) for one in commands)
+        commands = tuple(one.recording(visible=None) for one in commands)
     common = {name: _common(arm, name, commands, readings[name]) for name, arm in model.arms.items()}
     return commands, CompensateResult(
-        targets=tuple(map(command_record, commands)),
+        targets=tuple(one.record for one in commands),
         notes=(*notes, *unknown),
         common={name: its for name, its in common.items() if its},
     )
@@ -116,7 +115,7 @@ def compensate_targets(
 
 def _common(arm: ArmModel, name: str, commands: Sequence[Command], readings: Readings) -> CommonUncertainty | None:
     """Return what the uncertainties of an arm's targets have in common; None without targets or uncertainties."""
-    own = [one for one in commands if one.arm == name and one.q_compensated is not None]
+    own = [one.record for one in commands if one.record.arm == name and one.record.q_compensated is not None]
     if not own:
         return None
     q = np.array([one.q_compensated for one in own])

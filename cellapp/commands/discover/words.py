@@ -7,8 +7,9 @@ import re
 from collections.abc import Sequence
 
 from cellapp.commands.view.words import probability_words, ranges
-from cellapp.estimation.discovery.records import AcceptedEffect, ArmDiscoveryResult, EffectMeaning, Picture
+from cellapp.estimation.discovery.records import AcceptedEffect, ArmDiscoveryResult, Picture
 from cellapp.estimation.discovery.verdict import unnamed_words
+from cellapp.robot.effects.effect import Meaning
 
 _PLAY = re.compile(r"half_play(\d+)")
 _SURELY = 2.0
@@ -37,7 +38,7 @@ def orientation_sentences(arm: ArmDiscoveryResult) -> list[str]:
     ]
 
 
-def size_words(meaning: EffectMeaning) -> str:
+def size_words(meaning: Meaning) -> str:
     """Return the usual size of an effect and how well it is known."""
     return meaning.size if meaning.size_source == "none" else f"{meaning.size} ({meaning.size_source})"
 

@@ -236,11 +236,11 @@ def _rigid_notes(run: RunFile, stages: RunStages, exports: Mapping[str, ArmExpor
 
 def sentences(form: AnyFormat, run: RunFile, *arms: ArmExport | ArmCommands) -> list[str]:
     """Return the head of every file: the arms, their source, and what the file does not represent of a model."""
-    lines, listed = [form_line(form, simulated=run.profile.is_simulated)], getattr(form, "lists_effects", False)
+    lines = [form_line(form, simulated=run.profile.is_simulated)]
     for arm in arms:
         lines.append(f"Arm '{arm.name}' ({arm.arm.type.model}), {arm.source}.")
         if isinstance(arm, ArmExport):
-            lines += lost_sentences(arm.lost, arm.lost_together, listed=listed)
+            lines += lost_sentences(arm.lost, arm.lost_together, listed=form.lists_effects)
     return [" ".join(line.splitlines()) for line in lines]  # a line break in a name would end the comment
 
 

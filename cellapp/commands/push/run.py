@@ -64,7 +64,7 @@ def push_targets(run: RunFile, request: PushRequest, work: Work) -> VerifyResult
         require_current_model(run, stages, "push")
     commands, compensated = compensated_commands(run, stages, targets)
     # simulated cell: the tracker where it stands now
-    profile = carrying(profile_at_station(run, stages), ((one.arm, one.payload_kg) for one in commands))
+    profile = carrying(profile_at_station(run, stages), ((one.arm, one.payload_kg) for one in compensated.targets))
     used, visited = stage_in_force(run, stages), list[Findings]()
     judge, notes = judge_of(run, profile), [*compensated.notes]
 

@@ -17,7 +17,7 @@ from cellapp.cell.run.sqlite_file import Event
 from cellapp.commands.calibrate.held_out import HeldOutArm
 from cellapp.commands.certificate.judgements import judge_run
 from cellapp.commands.compensate.words import Measured
-from cellapp.commands.next_step import Step, arm_states, missing_step
+from cellapp.commands.next_step import Next, arm_states, missing_step
 from cellapp.commands.run_results import RunResults, read_results
 from cellapp.commands.stages import HERE, next_command, read_stages
 from cellapp.commands.stored_model import model_of
@@ -47,7 +47,7 @@ class ReportData:
         What an import derived from the order of the readings, by arm.
     model_in_force : str
         The stored model (JSON) that compensation uses; the same text as in ``calibration.json``.
-    next_step : Step or None
+    next_step : Next or None
         The first step that is missing or out of date; None if there is none.
     """
 
@@ -60,7 +60,7 @@ class ReportData:
     in_order: Mapping[str, ArmOrder]
     events: tuple[Event, ...]
     model_in_force: str
-    next_step: Step | None
+    next_step: Next | None
 
     @property
     def discover(self) -> DiscoverResult | None:

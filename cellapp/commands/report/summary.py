@@ -14,7 +14,7 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.targets.records import ArmVerification
 from cellapp.commands.certificate.judgements import judge_run
 from cellapp.commands.discover.words import verdict_sentence
-from cellapp.commands.next_step import PAIR_ERRORS, Step, open_steps
+from cellapp.commands.next_step import PAIR_ERRORS, Next, open_steps
 from cellapp.commands.report.data import ReportData, read_report_data
 from cellapp.commands.run_results import read_results
 from cellapp.commands.stages import HERE
@@ -146,7 +146,7 @@ def _effect_words(effect: AcceptedEffect) -> str:
 # -- what to do next --------------------------------------------------------------------------------------------------
 
 
-def steps(data: ReportData, judgements: Sequence[Judgement], today: date) -> Iterator[Step]:
+def steps(data: ReportData, judgements: Sequence[Judgement], today: date) -> Iterator[Next]:
     """Yield what to do next, the missing result first."""
     missing = [] if data.next_step is None else [data.next_step]
     yield from missing
@@ -157,16 +157,16 @@ def steps(data: ReportData, judgements: Sequence[Judgement], today: date) -> Ite
         yield from _effect_steps(name, arm)
     due = data.profile.traceability.tracker.due
     if due is not None and due < today:
-        yield Step(f"Have the tracker calibrated: it was due on {due}.")
+        yield Next(f"Have the tracker calibrated: it was due on {due}.")
     driven = any(arm.driver.has_device for arm in data.profile.arms.values())
     if driven and data.results.check is None and CHECK not in data.results.out_of_date:
-        yield Step("After each collision, repair or move, and at regular intervals:", f"cellapp check {HERE}")
+        yield Next("After each collision, repair or move, and at regular intervals:", f"cellapp check {HERE}")
 
 
-def _effect_steps(name: str, arm: ArmDiscoveryResult) -> Iterator[Step]:
+def _effect_steps(name: str, arm: ArmDiscoveryResult) -> Iterator[Next]:
     for effect in arm.accepted:
         if effect.meaning is not None and effect.meaning.check:
-            yield Step(f"Arm {name}, {place_words(effect.where)}: {_first_sentence(effect.meaning.check[0])}")
+            yield Next(f"Arm {name}, {place_words(effect.where)}: {_first_sentence(effect.meaning.check[0])}")
 
 
 def _first_sentence(text: str) -> str:
@@ -188,7 +188,7 @@ def read_verdict(run: RunFile, today: date) -> tuple[Verdict, Parts]:
     except InputError:  # not calibrated yet
         judgements = judge_run(run.profile, read_results(run))
         words = "Collect and calibrate first; tests by ISO 9283 with nominal commands need no calibration."
-        found, later = Verdict(overall(judgements), "Not calibrated yet", words), list[Step]()
+        found, later = Verdict(overall(judgements), "Not calibrated yet", words), list[Next]()
     else:
         judgements = data.judgements
         found, later = verdict(data, judgements), list(steps(data, judgements, today))

@@ -18,7 +18,6 @@ from cellapp.estimation.discovery.records import (
     BeforeAfter,
     CurveRecord,
     CycleBand,
-    EffectMeaning,
     Evidence,
     LawRecord,
     Picture,
@@ -124,7 +123,6 @@ def accepted_effect(
     ``posterior`` is NaN if it was not computed.
     """
     effect, shared = EFFECTS[term.slug], term_to_json(term)
-    meaning = effect.meaning_of(term.law).at(place_in_words(where.acts_on))
     return AcceptedEffect(
         effect=term.slug,
         title=effect.title,
@@ -135,7 +133,7 @@ def accepted_effect(
         runners_up=runners_up,
         posterior=posterior if math.isfinite(posterior) else None,
         law_misfit=term.law_misfit if term.modulations else None,
-        meaning=EffectMeaning.model_validate(meaning, from_attributes=True),
+        meaning=effect.meaning_of(term.law).at(place_in_words(where.acts_on)),
         **details,
     )
 

@@ -10,7 +10,7 @@ from pydantic import AliasChoices, BeforeValidator, Field
 
 from cellapp.estimation.calibration.records import CalibrateResult, PairMethodResult
 from cellapp.ground.results import Estimate, Method, Record, Result, Stage, StageErrors, Verdict
-from cellapp.robot.effects.effect import SizeSource
+from cellapp.robot.effects.effect import Meaning
 
 StructureKind = Literal["joints", "order", "time", "approach", "position", "tracker"]
 
@@ -94,22 +94,6 @@ class TermDescription(Record):
     sentence: str
 
 
-class EffectMeaning(Record):
-    """What an effect means for whoever runs the cell.
-
-    ``cause`` is where it comes from, ``size`` how large it usually is and ``size_source`` how well that is known
-    (``sourced``: published, ``computed``: from published data, ``estimate``, ``none``: there is no size). ``check`` is
-    what to check or mend on the machine, ``settle`` which further stops or observations would settle whether it is
-    there.
-    """
-
-    cause: str
-    size: str
-    size_source: SizeSource
-    check: tuple[str, ...]
-    settle: tuple[str, ...]
-
-
 class AcceptedEffect(Record):
     """An effect that discovery added to the model, with its evidence.
 
@@ -128,7 +112,7 @@ class AcceptedEffect(Record):
     runners_up: tuple[RunnerUp, ...]
     posterior: float | None = None
     law_misfit: float | None = None
-    meaning: EffectMeaning | None = None
+    meaning: Meaning | None = None
     cycles: Mapping[str, CycleBand] | None = None
     movements: tuple[PlaceMovement, ...] | None = None
     description: TermDescription | None = None

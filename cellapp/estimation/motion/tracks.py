@@ -291,8 +291,8 @@ def track_of(recording: Recording, nominal: Geometry, *, tool_unknown: bool, see
             " delay; look for joints in degrees, points in millimetres, files of another arm or of another time,"
             " stamps that are counted at a nominal rate"
         )
-    segment, beside = _segments(path, stamps, time - start.offset_s, where)
-    known = path.known(time - start.offset_s) & path.begun(time - start.offset_s) & ~beside
+    segment, near_step = _segments(path, stamps, time - start.offset_s, where)
+    known = path.known(time - start.offset_s) & path.begun(time - start.offset_s) & ~near_step
     offsets = np.full(int(segment.max()) + 1, start.offset_s)
     for number in range(len(offsets)) if len(offsets) > 1 else ():
         rows = np.flatnonzero((segment == number) & usual & known)

@@ -496,7 +496,7 @@ def undivided(q: Array) -> Groups:
     """Group rows (n, N) [rad] for splits and folds: by configuration, or by neighbourhood if most have a neighbour."""
     group = repeats(q)
     single = q[np.unique(group, return_index=True)[1]]
-    if not len(single) or np.mean(beside(single, single, itself=True)) <= 0.5:
+    if not len(single) or np.mean(has_neighbour(single, single, itself=True)) <= 0.5:
         return group
     radius = _WIDE * NEIGHBOUR_RAD
     while (wide := repeats(q, radius)).max() + 1 < _FEWEST_ALIKE and radius > NEIGHBOUR_RAD:
@@ -504,7 +504,7 @@ def undivided(q: Array) -> Groups:
     return wide
 
 
-def beside(q: Array, learnt: Array, *, itself: bool = False) -> NDArray[np.bool_]:
+def has_neighbour(q: Array, learnt: Array, *, itself: bool = False) -> NDArray[np.bool_]:
     """Return a mask (n,) of the rows with a neighbour among ``learnt`` rows (m, N); ``itself``: these are the same."""
     count = 2 if itself else 1
     if len(learnt) < count:
@@ -563,7 +563,7 @@ def neighbours_words(readings: Readings) -> str:
     """Say how many held-out rows have a learnt neighbour, or repeat a learnt row; empty for few."""
     held_out = readings.q[readings.in_split("validate")]
     learnt = readings.q[readings.in_split("identify", "train")]
-    count = int(np.count_nonzero(beside(held_out, learnt)))
+    count = int(np.count_nonzero(has_neighbour(held_out, learnt)))
     if not count or count < _MANY * len(held_out):
         return ""
     return (

@@ -16,7 +16,6 @@ from functools import partial
 from types import MappingProxyType, UnionType
 from typing import TYPE_CHECKING, Annotated, Any, Union, get_args, get_origin
 
-import annotated_types
 import typer
 from typer.core import TyperGroup
 
@@ -48,6 +47,8 @@ _SHOWN: Mapping[str, tuple[str, ...]] = {
     "plan": ("plan",),
 }
 """Verb -> the parts of a run that ``show`` shows of it, beside those that it stores."""
+_ENDS = (("gt", "more than"), ("ge", "at least"), ("le", "at most"))
+"""Ends of a field's range in the words in which the request refuses what is beyond; typer would have its own."""
 
 
 def asking(job: CommandJob, profile_name: str, *, allowed: bool) -> Ask | None:
@@ -188,14 +189,10 @@ def _choose(job: CommandJob, question: str, answers: tuple[str, ...]) -> str:
 def _parameter(request: type[Request], name: str, words: Asked) -> inspect.Parameter:
     """Return the command's parameter for a field of a request."""
     field = request.model_fields[name]
-    bounds = {
-        key: getattr(one, "ge" if key == "min" else "le")
-        for one in field.metadata
-        for key, kind in (("min", annotated_types.Ge), ("max", annotated_types.Le))
-        if isinstance(one, kind)
-    }
     said = f"With {request.option_of(words.of)}: {words.help}" if words.of else words.help
-    settings: dict[str, Any] = {"help": said, **bounds, **({"metavar": words.metavar} if words.metavar else {})}
+    ends = [f"{word} {getattr(one, end):g}" for one in field.metadata for end, word in _ENDS if hasattr(one, end)]
+    said += f" {', '.join(ends).capitalize()}." if ends else ""
+    settings: dict[str, Any] = {"help": said, **({"metavar": words.metavar} if words.metavar else {})}
     shape = typer.Argument(**settings) if words.argument else typer.Option(request.option_of(name), **settings)
     annotated: Any = Annotated
     annotation = annotated[words.typed or _typed(field.annotation), shape]

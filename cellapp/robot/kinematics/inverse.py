@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -19,6 +20,8 @@ _DAMPING = (1e-2, 1e-3, 1e-14)
 """Damping per squared error, its upper limit, and its lower limit, which keeps the normal matrix regular."""
 
 
+_FREE_DAMPING = 1e-12
+"""Damping [m^2] of a step to a position with free rotation: far below the squared lever arms."""
 _REACHED = 1e-10
 """Largest position error [m] and rotation error [rad] that count as reached."""
 
@@ -61,6 +64,10 @@ class Inverted:
         )
 
 
+Errors = Callable[[NDArray[np.intp], Array], tuple[Array, Array]]
+"""Rows of targets and their joint positions (k, N) [rad] -> errors (k, 6) [m, rad], and the Jacobian (k, 6, N)."""
+
+
 def solve_pose(
     geometry: Geometry, position_M: Array, rotation_M: Array, start: Array, *, max_iterations: int = 60
 ) -> Inverted:
@@ -79,24 +86,44 @@ def solve_pose(
     start : array, shape (n, N)
         Initial joint positions [rad]; they select the branch of the solution.
     max_iterations : int
+        Most iterates, with ``start``.
 
     Notes
     -----
     Damping grows with the squared error: Nakamura, Hanafusa, J. Dyn. Sys. Meas. Control 108 (1986) 163.
     """
-    best, best_error = start.copy(), np.full(len(start), np.inf)
-    q, active = start.copy(), np.arange(len(start))
-    for _ in range(max_iterations):
-        errors, J = errors_and_jacobian(geometry, position_M[active], rotation_M[active], q)
+
+    def errors(rows: NDArray[np.intp], q: Array) -> tuple[Array, Array]:
+        return errors_and_jacobian(geometry, position_M[rows], rotation_M[rows], q)
+
+    free = np.zeros(len(start), dtype=np.bool_)
+    return newton(errors, start, free, rounds=max_iterations, same=0.1 * _REACHED, within=_REACHED)
+
+
+def newton(
+    errors_of: Errors, start: Array, free: NDArray[np.bool_], *, rounds: int, same: float, within: float
+) -> Inverted:
+    """Find joint positions near ``start`` (n, N) [rad] without errors: the best of at most ``rounds`` Newton iterates.
+
+    Where ``free`` (n,), any rotation will do, and the joints move as little as possible. The iteration of a target ends
+    at errors below ``same``; errors below ``within`` count as reached [m, rad].
+    """
+    q, best, active = start.copy(), start.copy(), np.arange(len(start))
+    error, least = np.full((len(start), 6), np.inf), np.full(len(start), np.inf)
+    for left in reversed(range(rounds)):
+        errors, J = errors_of(active, q[active])
+        errors[free[active], 3:] = 0.0
         largest = np.abs(errors).max(axis=1)
-        better = largest < best_error[active]
-        best[active[better]], best_error[active[better]] = q[better], largest[better]
-        unsolved = best_error[active] >= 0.1 * _REACHED
-        if not unsolved.any():
+        better = largest < least[active]
+        rows = active[better]
+        best[rows], error[rows], least[rows] = q[rows], errors[better], largest[better]
+        going = ~(largest < same)
+        active, errors, J = active[going], errors[going], J[going]
+        if not (left and len(active)):
             break
-        active, q = active[unsolved], q[unsolved] + damped_step(J[unsolved], errors[unsolved])
-    errors, _ = errors_and_jacobian(geometry, position_M, rotation_M, best)
-    return Inverted(best, *(np.linalg.norm(part, axis=1) for part in (errors[:, :3], errors[:, 3:])))
+        q[active] += _step(J, errors, free[active])
+    rotated = np.where(free, np.nan, np.linalg.norm(error[:, 3:], axis=1))
+    return Inverted(best, np.linalg.norm(error[:, :3], axis=1), rotated, within)
 
 
 def errors_and_jacobian(geometry: Geometry, position_M: Array, rotation_M: Array, q: Array) -> tuple[Array, Array]:
@@ -110,6 +137,18 @@ def errors_and_jacobian(geometry: Geometry, position_M: Array, rotation_M: Array
     axes = rotations[:-1, :, :, 2]
     J = np.concatenate([np.cross(axes, P - origins[:-1]), axes], axis=2).transpose(1, 2, 0)
     return errors, J
+
+
+def _step(J: Array, errors: Array, free: NDArray[np.bool_]) -> Array:
+    """Return the step (n, N) [rad]: damped least squares to poses, least motion to positions with free rotation."""
+    step = np.empty((len(J), J.shape[2]))
+    if not free.all():
+        step[~free] = damped_step(J[~free], errors[~free])
+    if free.any():
+        J_p = J[free, :3]
+        A = J_p @ J_p.transpose(0, 2, 1) + _FREE_DAMPING * np.eye(3)
+        step[free] = np.einsum("nij,ni->nj", J_p, np.linalg.solve(A, errors[free, :3, None])[:, :, 0])
+    return step
 
 
 def damped_step(J: Array, errors: Array) -> Array:

@@ -23,6 +23,7 @@ from cellapp.robot.kinematics.chain import Geometry, frame_poses
 from cellapp.robot.kinematics.inverse import all_branches, shifted_into, solve_pose
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
+from cellapp.robot.model.inverse import invert
 from cellapp.robot.paths.cartesian import CartesianPath
 
 _FIRST_KNOTS_M = 2e-3
@@ -31,9 +32,6 @@ _SHARE = 0.02
 """Share of the tolerance that interpolation between knots may use."""
 _ROUNDS = 10
 """Most refinements; each halves the spacing where it is too wide."""
-_INVERSE_ROUNDS = 12
-_SAME_M = 1e-9
-"""Distance of the model's SMR from the path at which the inversion ends."""
 _MOVED_RAD = 2e-5
 """Least backward motion that counts as a reversal: some resolutions of an encoder."""
 _NO_PLAY_RAD = 1e-8
@@ -162,25 +160,10 @@ class _Solver:
 
     def readings(self, s: Array, approach: Array) -> Array:
         """Find controller readings (n, N) [rad] that put the model's SMR on the path; raise ``PathError`` if none."""
-        position, rotation = self.poses(s)
-        arm, conditions = self.arm, self.conditions(approach)
-        aim, true = position, self.guess(s)
-        q, off = true, np.full(position.shape, np.inf)
-        for _ in range(_INVERSE_ROUNDS):
-            solved = solve_pose(arm.geometry, aim, rotation, true)
-            if not solved.reached.all():
-                raise PathError("the calibrated model does not reach it", float(s[int(np.argmin(solved.reached))]))
-            true = solved.q
-            for _ in range(2):
-                q = true - (arm.true_joints(q, conditions=conditions) - q)
-            off = position - arm.predict(q, conditions=conditions)
-            if np.abs(off).max() < _SAME_M:
-                return np.asarray(q)
-            aim = aim + off
-        far = np.abs(off).max(axis=1)
-        if far.max() < 100.0 * _SAME_M:
-            return np.asarray(q)
-        raise PathError("the calibrated model does not converge there", float(s[int(np.argmax(far))]))
+        found = invert(self.arm, *self.poses(s), self.guess(s), self.conditions(approach))
+        if not found.reached.all():
+            raise PathError("the calibrated model does not reach it", float(s[int(np.argmin(found.reached))]))
+        return found.q
 
     def deviation(self, s: Array, q: Array, approach: Array) -> Array:
         """Compute the distance (n,) [m] of the model's SMR at readings ``q`` from the path's points at ``s``."""

@@ -24,8 +24,9 @@ from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import ControllerTable
 from cellapp.robot.kinematics.chain import nominal_geometry, plain_geometry
 from cellapp.robot.model.nominal import published_rows
-from drivers.arms.protocol import ArmIdentity, LinkLost
+from drivers.arms.protocol import LinkLost
 from drivers.arms.simulated import SimulatedArm
+from drivers.findings import ArmIdentity
 from tests.interfaces.plugins.installed import add_example, add_toys, installed, run_commands
 from tests.interfaces.plugins.line_controller import LineController, line_controllers
 from tests.twin import altered, small_twin, with_arm, write_profile
@@ -91,10 +92,10 @@ def test_another_calibration_than_that_of_the_profile_is_refused(run: RunFile, c
     with RunFile.create(tmp_path / "own", with_arm(run.profile, "left", factory=table)) as own:
         with pytest.raises(HardwareError, match=r"arm left: its controller has another .*arms\.left\.factory"):
             check_controllers(own, cell)
-        left(cell).says = replace(Known.says, dh_rows=rows + deltas)
+        left(cell).says = replace(Known.says, dh_rows=tuple(map(tuple, (rows + deltas).tolist())))
         assert check_controllers(own, cell) == ()
         np.testing.assert_array_equal(recorded_controllers(own)["left"].dh_rows, rows + deltas)
-        left(cell).says = replace(Known.says, dh_rows=rows + 0.99 * deltas)
+        left(cell).says = replace(Known.says, dh_rows=tuple(map(tuple, (rows + 0.99 * deltas).tolist())))
         with pytest.raises(HardwareError, match="another calibration"):
             check_controllers(own, cell)
 

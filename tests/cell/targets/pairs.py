@@ -69,7 +69,7 @@ def stops_with_room(run: RunFile, model: CellModel, count: int) -> list[int]:
 def _sees_commands(cell: CellBodies, run: RunFile, model: CellModel, stop: int) -> bool:
     """Whether the tracker also sees both SMRs where commands hold the arms: perhaps not in the posture of the plan."""
     commands = compensate(run.profile, model, pair_targets(run, model, [stop]))
-    q = {one.arm: one.q_compensated[np.newaxis] for one in commands if one.q_compensated is not None}
+    q = {one.arm: np.array([one.q_compensated]) for one in (its.record for its in commands) if one.q_compensated}
     return len(q) == len(model.arms) and bool(visible_stops(cell, q)[0])
 
 

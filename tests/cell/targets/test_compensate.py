@@ -14,13 +14,13 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import refuse_stop, visible
 from cellapp.cell.targets.compensate import compensate
-from cellapp.cell.targets.invert import invert
-from cellapp.cell.targets.prediction import Command, command_record
+from cellapp.cell.targets.prediction import Command
 from cellapp.cell.targets.targets import Partner, Target, load_targets
 from cellapp.ground.errors import InputError
 from cellapp.robot.effects import EFFECTS, EffectTerm
 from cellapp.robot.kinematics.transforms import rotation_zyx, zyx_angles
 from cellapp.robot.model import ArmModel, CellModel
+from cellapp.robot.model.inverse import invert
 from tests.postures import far_from_singular
 from tests.sure import sure
 from tests.twin import PROFILES, altered, small_twin, with_arms
@@ -44,14 +44,13 @@ def test_commands_are_inside_the_limits_safe_and_seen(
     run: RunFile, model: CellModel, commands: tuple[Command, ...]
 ) -> None:
     bodies, home = cell_bodies(run.profile, model), home_positions(run.profile)
-    for command in commands:
-        name = command.target.arm
-        others = {other: q[None] for other, q in home.items() if other != name}
-        for q in () if command.refusal else (command.q_nominal, command.q_compensated):
-            assert refuse_stop(bodies, {**home, name: sure(q)}) == ""
-        if command.q_compensated is not None:
-            assert command.visible == visible(bodies, name, command.q_compensated[None], others)[0]
-    assert sum(command.visible or False for command in commands) >= 30
+    for one in (command.record for command in commands):
+        others = {other: q[None] for other, q in home.items() if other != one.arm}
+        for q in () if one.refusal else (one.q_nominal, one.q_compensated):
+            assert refuse_stop(bodies, {**home, one.arm: np.array(sure(q))}) == ""
+        if one.q_compensated is not None:
+            assert one.visible == visible(bodies, one.arm, np.array([one.q_compensated]), others)[0]
+    assert sum(command.record.visible or False for command in commands) >= 30
 
 
 class Waves:
@@ -64,7 +63,7 @@ class Waves:
 def test_what_the_network_adds_is_aimed_off_for(model: CellModel, commands: tuple[Command, ...]) -> None:
     network: Any = Waves()
     arm = dataclasses.replace(with_effects(model, "left", COMPLIANCE), network=network)
-    q = np.array([c.q_nominal for c in commands if c.target.arm == "left" and c.q_nominal is not None])
+    q = np.array([c.record.q_nominal for c in commands if c.target.arm == "left" and c.record.q_nominal is not None])
     q = q[np.abs(np.sin(q[:, 4])) > 0.2]
     rotation, _ = arm.flange(q)
     back = invert(arm, arm.predict(q), rotation, q + 1e-3)
@@ -86,20 +85,20 @@ def test_out_of_reach_out_of_sight_and_unsafe(run: RunFile, model: CellModel) ->
         z, y, x = zyx_angles(rotation_zyx(yaw, pitch, roll) @ np.diag([1.0, -1.0, -1.0]))
         looking_away.append(target.model_copy(update={"rpy": (x, y, z)}))
     refused = compensate(run.profile, model, [*looking_away, one("left", (3.0, 0.0, 0.5))])
-    assert refused[-1].refusal.startswith("out of reach: ")
-    assert refused[-1].q_nominal is refused[-1].q_compensated is refused[-1].expected_M is None
-    hidden = [command for command in refused[:-1] if not command.refusal]
+    assert refused[-1].record.refusal.startswith("out of reach: ")
+    assert refused[-1].expected_M is None
+    hidden = [command for command in refused[:-1] if not command.record.refusal]
     assert len(hidden) >= 3, "production needs no tracker"
-    assert not any(command.visible for command in hidden)
+    assert not any(command.record.visible for command in hidden)
     high = altered(run.profile, plan={"floor": 0.05})
-    refusals = [command.refusal for command in compensate(high, model, TARGETS)]
+    refusals = [command.record.refusal for command in compensate(high, model, TARGETS)]
     assert any("the floor" in refusal for refusal in refusals)
-    entry = json.loads(command_record(refused[-1]).model_dump_json())
+    entry = json.loads(refused[-1].record.model_dump_json())
     place = {"name": "it", "arm": "left", "position": [3.0, 0.0, 0.5], "rpy": [0.0, 0.0, 0.0], "tolerance_mm": None}
     nothing = {"q_nominal": None, "q_compensated": None, "uncertainty_mm": None, "verdict": ""}
     expected = {**place, **nothing}
     assert {name: entry[name] for name in expected} == expected
-    assert entry["refusal"] == refused[-1].refusal
+    assert entry["refusal"] == refused[-1].record.refusal
 
 
 @pytest.mark.parametrize("middle", [-1.5 * math.pi, 1.5 * math.pi])
@@ -109,14 +108,14 @@ def test_whole_turns_bring_a_joint_into_its_limits(run: RunFile, model: CellMode
     profile = altered(run.profile, arms={"left": {"limits": limits}})
     reached = 0
     for command in compensate(profile, model, TARGETS[:10]):
-        if command.q_compensated is not None and command.q_nominal is not None:
+        if command.record.q_compensated is not None and command.record.q_nominal is not None:
             reached += 1
-            for q in (command.q_compensated, command.q_nominal):
+            for q in (command.record.q_compensated, command.record.q_nominal):
                 assert abs(q[5] - middle) <= 0.5 * math.pi
-            predicted = model.predict(command.target.arm, command.q_compensated[None])[0]
+            predicted = model.predict(command.target.arm, np.array([command.record.q_compensated]))[0]
             np.testing.assert_allclose(predicted, sure(command.expected_M), atol=1e-9)
         else:
-            assert command.refusal
+            assert command.record.refusal
     assert reached >= 3
 
 
@@ -175,7 +174,7 @@ def test_both_arms_of_a_cooperative_target_hold_it(run: RunFile, model: CellMode
     pairs = safe_pairs(run, model, 6)
     targets = [together(model, *pair, name=f"both-{k}") for k, pair in enumerate(pairs)]
     commands = compensate(run.profile, model, [TARGETS[0], *targets])
-    assert [(command.target.name, command.arm) for command in commands][:3] == [
+    assert [(command.target.name, command.record.arm) for command in commands][:3] == [
         (TARGETS[0].name, "left"),
         ("both-0", "left"),
         ("both-0", "right"),
@@ -183,29 +182,30 @@ def test_both_arms_of_a_cooperative_target_hold_it(run: RunFile, model: CellMode
     cell = cell_bodies(run.profile, model)
     reached = 0
     for one, other in zip(commands[1::2], commands[2::2], strict=True):
-        assert (command_record(one).partner, command_record(other).partner) == ("right", "left")
-        assert one.refusal == other.refusal
-        if one.q_compensated is None or other.q_compensated is None:
+        left, right = one.record, other.record
+        assert (left.partner, right.partner) == ("right", "left")
+        assert left.refusal == right.refusal
+        if left.q_compensated is None or right.q_compensated is None:
             continue
         reached += 1
-        assert refuse_stop(cell, {"left": one.q_compensated, "right": other.q_compensated}) == ""
-        assert refuse_stop(cell, {"left": sure(one.q_nominal), "right": sure(other.q_nominal)}) == ""
+        assert refuse_stop(cell, {"left": np.array(left.q_compensated), "right": np.array(right.q_compensated)}) == ""
+        assert refuse_stop(cell, {one.arm: np.array(sure(one.q_nominal)) for one in (left, right)}) == ""
         assert_reached(model, one)
         assert_reached(model, other)
         wanted = np.linalg.norm(one.target.partner.position) if one.target.partner else 0.0
         assert np.linalg.norm(sure(one.expected_M) - sure(other.expected_M)) == pytest.approx(wanted)
         assert one.conditions is not None
         assert one.conditions.other_q is not None
-        np.testing.assert_allclose(one.conditions.other_q[0], other.q_compensated, atol=5e-4, err_msg="but for play")
+        np.testing.assert_allclose(one.conditions.other_q[0], right.q_compensated, atol=5e-4, err_msg="but for play")
     assert reached >= 4
-    records = [command_record(one) for one in commands]
-    assert {entry.partner for entry in records} == {"", "left", "right"}
+    assert {one.record.partner for one in commands} == {"", "left", "right"}
 
 
 def assert_reached(model: CellModel, command: Command) -> None:
-    predicted = model.arms[command.arm].predict(sure(command.q_compensated)[None], conditions=command.conditions)[0]
+    q = np.array([command.record.q_compensated])
+    predicted = model.arms[command.record.arm].predict(q, conditions=command.conditions)[0]
     assert np.linalg.norm(predicted - sure(command.expected_M)) < 1e-8
-    assert sure(command.residual_um) < 1e-2
+    assert sure(command.record.residual_um) < 1e-2
 
 
 def test_arms_that_act_on_each_other_are_solved_together(run: RunFile, model: CellModel) -> None:
@@ -221,11 +221,11 @@ def test_arms_that_act_on_each_other_are_solved_together(run: RunFile, model: Ce
     )
     target = together(changed, *next(regular))
     one, other = compensate(run.profile, changed, [target])
-    assert one.refusal == ""
+    assert one.record.refusal == ""
     assert_reached(changed, one)
     assert_reached(changed, other)
     assert one.conditions is not None
-    alone = changed.arms["left"].predict(np.asarray(one.q_compensated)[None])[0]
+    alone = changed.arms["left"].predict(np.asarray(one.record.q_compensated)[None])[0]
     assert np.linalg.norm(alone - np.asarray(one.expected_M)) > 1e-6, "the other arm matters"
 
 
@@ -242,10 +242,10 @@ def test_if_one_arm_cannot_both_are_refused(run: RunFile, model: CellModel) -> N
     assert target.partner is not None
     far = altered(target, partner={"position": (4.0, 0.0, 0.0)})
     one, other = compensate(run.profile, model, [far])
-    assert one.refusal == other.refusal
-    assert one.refusal.startswith("arm right: out of reach")
-    assert one.q_compensated is None
-    assert other.q_compensated is None
+    assert one.record.refusal == other.record.refusal
+    assert one.record.refusal.startswith("arm right: out of reach")
+    assert one.record.q_compensated is None
+    assert other.record.q_compensated is None
     collision = altered(target, name="meet", partner={"position": (0.0, 0.0, 0.01), "rpy": None})
     meeting, _ = compensate(run.profile, model, [collision])
-    assert "arms left and right" in meeting.refusal or "arm right" in meeting.refusal
+    assert "arms left and right" in meeting.record.refusal or "arm right" in meeting.record.refusal

@@ -17,7 +17,6 @@ from cellapp.cell.planning.plan import plan_stops
 from cellapp.cell.run import RunFile
 from cellapp.cell.targets.compensate import compensate
 from cellapp.cell.targets.goals import work_frame_pose
-from cellapp.cell.targets.prediction import command_record
 from cellapp.cell.targets.records import VerifyResult
 from cellapp.cell.targets.targets import FramePoint, WorkFrame, definition, load_targets
 from cellapp.commands.calibrate.run import calibrate_run
@@ -141,7 +140,7 @@ def test_verdicts_follow_the_one_rule(run: RunFile, model: CellModel) -> None:
     tight = [LEFT[0].model_copy(update={"orientation_tolerance": limit}) for limit in (5e-3, 5e-5)]
     named = [one.model_copy(update={"name": f"t{k}"}) for k, one in enumerate(tight)]
     named.append(LEFT[0].model_copy(update={"name": "free", "rpy": None, "orientation_tolerance": None}))
-    found = [command_record(one) for one in compensate(run.profile, model, named)]
+    found = [one.record for one in compensate(run.profile, model, named)]
     rotations = [one.orientation for one in found]
     assert rotations[2] is not None
     assert (sure(rotations[0]).verdict, sure(rotations[1]).verdict, rotations[2].verdict) == ("in", "not decided", "")

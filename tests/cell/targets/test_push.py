@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import math
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,7 +16,7 @@ from cellapp.cell.driving.target_visit import push
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.targets.compensate import compensate
-from cellapp.cell.targets.prediction import Command, command_record
+from cellapp.cell.targets.prediction import Command
 from cellapp.cell.targets.records import ArmVerification, CompensateResult, VerifyResult
 from cellapp.cell.targets.targets import Target, definition, load_targets
 from cellapp.commands.compensate.tables import measured_tables, predicted_tables
@@ -100,7 +98,7 @@ def test_a_way_that_the_gate_refuses_is_noted_and_nothing_moves(
 ) -> None:
     under = np.array(home_positions(run.profile)["left"])
     under[1] = 0.9
-    mad = dataclasses.replace(commands[0], q_compensated=under)
+    mad = commands[0].recording(q_compensated=tuple(under.tolist()))
     found = push(run.profile, model, (mad, commands[1]), verify=True)
     assert "refused to move: arm left: collides with the floor" in found.targets[0].note
     assert found.targets[0].compensated_mm is None
@@ -156,7 +154,7 @@ def test_tolerances_are_predicted_measured_and_complained_about(run: RunFile, mo
     sizes = (2e-3, 1e-6, None)
     targets = [target.model_copy(update={"tolerance": size}) for target, size in zip(TARGETS, sizes)]
     commands = compensate(run.profile, model, (*targets, FAR.model_copy(update={"tolerance": 1e-3})))
-    predicted = CompensateResult(targets=tuple(map(command_record, commands)))
+    predicted = CompensateResult(targets=tuple(one.record for one in commands))
     wide, narrow, none, far = predicted.targets
     assert 0.0 < sure(wide.uncertainty_mm) < 0.1
     assert (wide.verdict, narrow.verdict, none.verdict, far.verdict) == ("in", "out", "", "")
@@ -178,7 +176,7 @@ def test_tolerances_are_predicted_measured_and_complained_about(run: RunFile, mo
 
 def test_results_of_earlier_versions_are_read(run: RunFile, commands: tuple[Command, ...]) -> None:
     new = {"position", "rpy", "tolerance_mm", "uncertainty_mm", "verdict", "definition"}
-    content = json.loads(CompensateResult(targets=tuple(map(command_record, commands[:2]))).to_json())
+    content = json.loads(CompensateResult(targets=tuple(one.record for one in commands[:2])).to_json())
     content["targets"] = [
         {key: value for key, value in target.items() if key not in new} for target in content["targets"]
     ]
@@ -258,7 +256,7 @@ def test_both_arms_are_measured_at_each_cooperative_target(
 def test_a_partner_that_cannot_go_keeps_both_at_home(
     run: RunFile, model: CellModel, pairs: list[Command], cells: list[Any]
 ) -> None:
-    refused = replace(pairs[1], q_nominal=None, q_compensated=None, refusal="out of reach")
+    refused = pairs[1].recording(q_nominal=None, q_compensated=None, refusal="out of reach")
     found = push(run.profile, model, [pairs[0], refused, *pairs[2:4]], verify=True)
     assert [target.note for target in found.targets] == ["arm right: out of reach", "out of reach", "", ""]
     assert found.targets[0].compensated_mm is None
@@ -270,7 +268,7 @@ def test_a_partner_that_cannot_go_keeps_both_at_home(
 def test_an_smr_that_the_tracker_does_not_see_is_not_measured(
     run: RunFile, model: CellModel, pairs: list[Command]
 ) -> None:
-    unseen = replace(pairs[1], visible=False)
+    unseen = pairs[1].recording(visible=False)
     found = push(run.profile, model, [pairs[0], unseen], verify=True)
     left, right = found.targets
     assert (left.note, right.note) == ("", "not measured: the tracker does not see the SMR there")

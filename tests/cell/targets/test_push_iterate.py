@@ -101,7 +101,7 @@ def test_rounds_fall_to_what_tracker_and_repeatability_allow(
             continue
         assert target.corrected_mm in target.rounds_mm[1:]
         assert target.corrected_mm < target.rounds_mm[0]
-        assert 0.0 < np.abs(np.subtract(target.q_corrected, sure(command.q_compensated))).max() < 1e-2
+        assert 0.0 < np.abs(np.subtract(target.q_corrected, sure(command.record.q_compensated))).max() < 1e-2
     assert any(" mm by the model alone to " in line for line in verify_lines(found))
 
 
@@ -137,10 +137,11 @@ def test_an_error_below_the_noise_is_not_made_worse_and_no_improvement_is_report
     them seem to be off, and were corrected by that, and the smaller of two chances was reported as an improvement."""
     plant, beside = build_plant(run.profile), []
     for command in compensate(run.profile, model, ALL):
-        if command.refusal:
+        one = command.record
+        if one.refusal:
             continue
-        side = np.array([command.approach or (0,) * 6], dtype=float)
-        true_M = plant.smr_positions(command.arm, sure(command.q_compensated)[None], approach=side)[0]
+        side = np.array([one.approach or (0,) * 6], dtype=float)
+        true_M = plant.smr_positions(one.arm, np.array([one.q_compensated]), approach=side)[0]
         beside.append(replace(command, expected_M=true_M + np.array([4.5e-6, 0.0, 0.0])))
     found = push(run.profile, model, beside, verify=True, rounds=3)
     assert len(found.targets) >= 30

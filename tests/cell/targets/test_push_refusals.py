@@ -33,8 +33,8 @@ from cellapp.robot.effects.joint_compliance import LINEAR
 from cellapp.robot.kinematics.chain import nominal_geometry, smr_positions
 from cellapp.robot.kinematics.transforms import rotation_from_vector, transform, zyx_angles
 from cellapp.robot.model import CellModel
-from drivers.arms.protocol import ArmIdentity
 from drivers.arms.simulated import SimulatedArm
+from drivers.findings import ArmIdentity
 from tests.arms import UR5
 from tests.sure import sure
 from tests.twin import PROFILES, altered, plant_of, small_twin
@@ -64,7 +64,7 @@ def test_empty_lists_and_other_arms_are_refused(
     with pytest.raises(InputError, match="push: there are no targets"):
         push_run(run, (), verify=True)
     with pytest.raises(InputError, match="target 'left-01' is for arm 'third', the profile has arms left, right"):
-        push(run.profile, model, [replace(commands[0], arm="third")], verify=True)
+        push(run.profile, model, [commands[0].recording(arm="third")], verify=True)
     alone = replace(model, arms={"left": model.arms["left"]})
     with pytest.raises(InputError, match="the calibration is of arms left, the profile of arms left, right"):
         push(run.profile, alone, commands, verify=True)
@@ -259,14 +259,15 @@ def errors_and_parts(
         Target(name=f"stop-{k}", arm="left", position=p, rpy=zyx_angles(R)[::-1], frame="tracker", conditions=loaded)
         for k, (p, R) in enumerate(zip(p_M.tolist(), rotation_M, strict=True))
     ]
-    commands = [one for one in compensate(run.profile, model, targets, ranges=ranges) if not one.refusal]
-    q = np.array([one.q_compensated for one in commands])
-    sides = np.array([one.approach or (0,) * 6 for one in commands], dtype=float)
+    commands = [one for one in compensate(run.profile, model, targets, ranges=ranges) if not one.record.refusal]
+    records = [one.record for one in commands]
+    q = np.array([one.q_compensated for one in records])
+    sides = np.array([one.approach or (0,) * 6 for one in records], dtype=float)
     true_M = build_plant(run.profile).smr_positions("left", q, approach=sides, payload=np.full(len(q), load_kg))
     errors = (true_M - np.array([one.expected_M for one in commands])) * 1e3
-    parts = [one.prediction.parts for one in commands if one.prediction is not None]
+    parts = [one.parts for one in records if one.parts is not None]
     own = [np.hypot(np.hypot(one.parameters, one.effects), np.hypot(one.network, one.extrapolation)) for one in parts]
-    return errors, np.array(own), [one.note for one in commands]
+    return errors, np.array(own), [one.note for one in records]
 
 
 def normalised(errors: np.ndarray, own: np.ndarray) -> float:

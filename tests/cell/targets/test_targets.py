@@ -79,10 +79,10 @@ def test_the_examples_show_every_frame_and_both_arms() -> None:
 def test_an_example_is_compensated(run: RunFile, model: CellModel, name: str) -> None:
     listed = load_targets(PROFILES / "targets" / name, run.profile)
     commands = compensate(run.profile, model, listed)
-    assert [(command.target.name, command.arm) for command in commands] == [
+    assert [(command.target.name, command.record.arm) for command in commands] == [
         (target.name, arm) for target in listed for arm in target.arms
     ]
-    refused = {f"{command.target.name} {command.arm}": command.refusal for command in commands if command.refusal}
+    refused = {f"{one.name} {one.arm}": one.refusal for one in (its.record for its in commands) if one.refusal}
     assert not refused
 
 

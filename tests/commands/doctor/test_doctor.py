@@ -100,7 +100,7 @@ def one_ready(host: str, timeout_s: float) -> UrProbe:
 
 
 CHECKSUM = "00000001-00000002-00000003-00000004-00000005-00000006"
-CALIBRATED = replace(READY, kinematics=UrKinematics(np.tile([0.0, 0.1, 0.0, 0.0], (6, 1)), CHECKSUM))
+CALIBRATED = replace(READY, kinematics=UrKinematics(((0.0, 0.1, 0.0, 0.0),) * 6, CHECKSUM))
 E_SERIES = replace(READY, series="e-Series", software="5.11.1.1108318", safety_status="NORMAL", remote_control=True)
 
 

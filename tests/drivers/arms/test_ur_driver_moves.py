@@ -92,8 +92,8 @@ def test_identity_state_and_tool_are_those_of_the_controller(both: dict[str, UrA
     who, state, tool = arm.identify(), arm.state(), arm.tool()
     assert (who.model, who.serial) == (MODELS[name], SERIALS[name])
     assert who.software.startswith({"left": "3.", "right": "5."}[name])
-    assert sure(who.dh_rows).shape == (6, 4)
-    assert sure(who.dh_rows)[1, 2] == {"left": -0.612, "right": -0.425}[name]
+    assert np.shape(sure(who.dh_rows)) == (6, 4)
+    assert sure(who.dh_rows)[1][2] == {"left": -0.612, "right": -0.425}[name]
     assert (state.robot_mode, state.safety_mode, state.program) == ("RUNNING", "NORMAL", "PLAYING")
     assert state.payload_kg == pytest.approx(0.35)
     assert sure(state.joint_temperature_c).shape == (6,)

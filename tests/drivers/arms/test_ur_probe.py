@@ -111,7 +111,7 @@ def test_identity_and_state_of_a_controller_are_probed(controller: Personality, 
     assert probe.remote_control is (True if e_series else None)
     assert probe.safety_status == ("NORMAL" if e_series else None)
     assert list(probe.ports.values()) == [True, True, False]
-    assert sure(probe.kinematics).rows.tolist() == [list(row) for row in controller.rows]
+    assert sure(probe.kinematics).rows == tuple(map(tuple, controller.rows))
     assert probe.kinematics_note == ""
 
 
@@ -120,7 +120,7 @@ def test_calibrated_kinematics_come_with_their_checksums() -> None:
     calibrated = replace(CB3, rows=rows, checksums=(1, 2, 3, 4, 5, 0xDEADBEEF), calibration_status=2)
     with emulated(calibrated) as emulator:
         found = ask(emulator).kinematics
-    assert sure(found).rows.tolist() == [list(row) for row in rows]
+    assert sure(found).rows == rows
     assert sure(found).checksum == "00000001-00000002-00000003-00000004-00000005-deadbeef"
 
 
@@ -227,7 +227,7 @@ def test_the_kinematics_sub_package_has_its_published_size_and_order() -> None:
 def test_unknown_sub_packages_and_appended_fields_are_skipped(before: list[tuple[int, bytes]], appended: bytes) -> None:
     longer = sub_package(5, KINEMATICS[5:] + appended)
     found = parse_robot_state(b"".join(sub_package(kind, payload) for kind, payload in before) + longer).kinematics
-    assert (sure(found).rows.tolist(), sure(found).checksum) == ([list(row) for row in CB3.rows], "")
+    assert (sure(found).rows, sure(found).checksum) == (tuple(map(tuple, CB3.rows)), "")
 
 
 @given(st.binary(max_size=400))

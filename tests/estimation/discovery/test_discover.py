@@ -14,7 +14,6 @@ from scipy.spatial.transform import Rotation
 from cellapp.cell.driving.cell import build_plant, plant_arm
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
-from cellapp.cell.targets.invert import invert
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.discover.run import discover_result
 from cellapp.commands.run_results import read_results
@@ -34,6 +33,7 @@ from cellapp.robot.effects import EFFECTS, MeasurementConditions
 from cellapp.robot.kinematics.chain import flange_poses, smr_positions
 from cellapp.robot.kinematics.transforms import rotation_vectors
 from cellapp.robot.model import CellModel
+from cellapp.robot.model.inverse import invert
 from cellapp.robot.model.nominal import nominal_arm
 from drivers.plant import suggest
 from tests.arms import effect_term, true_geometry

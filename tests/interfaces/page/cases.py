@@ -13,7 +13,6 @@ from cellapp.estimation.discovery.records import (
     CurveRecord,
     CycleBand,
     DiscoverResult,
-    EffectMeaning,
     Evidence,
     GapStep,
     LawRecord,
@@ -28,6 +27,7 @@ from cellapp.estimation.discovery.records import (
     TermDescription,
 )
 from cellapp.ground.results import ErrorSummary, Estimate, Provenance, StageErrors
+from cellapp.robot.effects.effect import Meaning
 
 ANGLES = tuple(-170.0 + 2.0 * k for k in range(150))
 """Up to 128 deg: 62 deg of the turn have no reading."""
@@ -95,7 +95,7 @@ def ambiguous_compliance() -> AcceptedEffect:
         ),
         posterior=0.874,
         law_misfit=0.183,
-        meaning=EffectMeaning(
+        meaning=Meaning(
             cause="The gears of joints 2, 3, 4 and 6 twist.",
             size="1 to 3 mm",
             size_source="computed",

@@ -21,7 +21,7 @@ from cellapp.commands.certificate_result import (
     CertifiedErrors,
     CertifiedInstrument,
 )
-from cellapp.commands.next_step import Step
+from cellapp.commands.next_step import Next
 from cellapp.commands.report.data import ReportData
 from cellapp.commands.report.sections import SECTIONS, placed
 from cellapp.commands.report.summary import findings, judged_matrix, steps, verdict
@@ -62,7 +62,7 @@ def judged(
     )
 
 
-def data_of(profile: Profile | None = None, *, next_step: Step | None = None, **results: Any) -> ReportData:
+def data_of(profile: Profile | None = None, *, next_step: Next | None = None, **results: Any) -> ReportData:
     """What a run has, with results as given."""
     found = RunResults(run="/cells/run", **results)
     return ReportData(
@@ -131,10 +131,10 @@ def summaries() -> Iterator[object]:
         "out of date": (data_of(out_of_date={"calibrate": "5 readings were added since"}), position),
         "effects": (data_of(discover=discovery("left", "right")), position),
         "stops were added": (
-            data_of(next_step=Step("Measure the planned stops that are left:", "cellapp collect /cells/run")),
+            data_of(next_step=Next("Measure the planned stops that are left:", "cellapp collect /cells/run")),
             [],
         ),
-        "missing": (data_of(next_step=Step("Go on with:", "cellapp discover /cells/run"), out_of_date=outdated), []),
+        "missing": (data_of(next_step=Next("Go on with:", "cellapp discover /cells/run"), out_of_date=outdated), []),
         "not measured": (data_of(), missing),
     }
     for name, (data, judgements) in cases.items():

@@ -215,7 +215,7 @@ def test_a_pose_out_of_reach_is_reported():
     assert found.residual_m[0] > 1.0
 
 
-@pytest.mark.parametrize("max_iterations", [0, 60])
+@pytest.mark.parametrize("max_iterations", [1, 60])  # 1: the start alone
 def test_a_flange_half_a_turn_off_does_not_count_as_reached(max_iterations):
     """The SMR lies on the last axis: half a turn of the last joint keeps its position and reverses the flange."""
     geometry = at_station(UR10, ON_AXIS)
@@ -226,7 +226,7 @@ def test_a_flange_half_a_turn_off_does_not_count_as_reached(max_iterations):
     reversed_flange = np.einsum("nab,nab->n", flange_poses(geometry, found.q)[0], rotation) < 0.0
     assert not found.reached[reversed_flange].any()
     np.testing.assert_allclose(found.residual_rad[reversed_flange], np.pi, atol=1e-6)
-    if max_iterations:
+    if max_iterations > 1:
         assert found.reached.mean() > 0.9
 
 

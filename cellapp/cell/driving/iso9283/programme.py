@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from cellapp.cell.safety.cell_bodies import clear_with_others, visible_with_others
 from cellapp.cell.safety.gate import CellBodies, refuse_motion, visible_stops, with_margin_for_ways
-from cellapp.cell.targets.invert import LARGEST_CORRECTION, admissible_configurations, invert, with_approach
+from cellapp.cell.targets.branches import LARGEST_CORRECTION, admissible_configurations
 from cellapp.estimation.calibration.identification import identify, start_from_nominal
 from cellapp.estimation.calibration.parameters import ParameterSet
 from cellapp.estimation.calibration.quantities import with_probe
@@ -53,6 +53,7 @@ from cellapp.robot.kinematics.chain import Geometry, JointAngles, flange_poses, 
 from cellapp.robot.kinematics.transforms import Array, apply, rotation_from_vector, rotations_of, rpy_of, xyz_of
 from cellapp.robot.kinematics.transforms import invert as inverse_transform
 from cellapp.robot.model import ArmModel, CellModel
+from cellapp.robot.model.inverse import invert, with_approach
 from cellapp.robot.model.nominal import nominal_arm
 from drivers.trackers.protocol import Point
 

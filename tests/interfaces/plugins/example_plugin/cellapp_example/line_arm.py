@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from drivers.arms.protocol import (
     ArmError,
-    ArmIdentity,
     ArmState,
     ArmTimeout,
     FaultListener,
@@ -30,6 +29,7 @@ from drivers.arms.protocol import (
     Tool,
 )
 from drivers.arms.settings import ArmContext
+from drivers.findings import ArmIdentity
 
 SILENCE_S = 0.3
 """The protocol of arms asks for a fault after this time without a state."""
