@@ -97,7 +97,8 @@ def _query(arm: Arm) -> tuple[ArmIdentity, tuple[str, ...]]:
         warnings = arm.warnings()
     except ArmError as error:
         raise HardwareError(str(error)) from error
-    return found if found.dh_checksum else replace(found, dh_rows=None), warnings
+    rows = found.dh_rows if found.dh_checksum else None  # of a plug-in perhaps an array
+    return replace(found, dh_rows=None if rows is None else tuple(tuple(map(float, row)) for row in rows)), warnings
 
 
 def _compare(name: str, before: ArmIdentity, now: ArmIdentity) -> list[str]:
