@@ -50,9 +50,9 @@ def test_one_arm_is_calibrated_from_a_recording_alone(tmp_path: Path) -> None:
     with RunFile.open(tmp_path / "run", write=True) as run:
         assert RunState(run).next_step.verb == "calibrate"
         result = calibrate_run(run)
-        samples = known_readings(run, "left")
-        assert len(run.readings("left")) == 0
-        overview = run_overview(RunState(run))
+        samples, state = known_readings(run, "left"), RunState(run)
+        assert (len(run.readings("left")), state.measured["left"].readings) == (0, len(samples))
+        overview = run_overview(state)
         exported = export_as_run(run, "dh", tmp_path / "arm.yaml")
     arm = json.loads(result.to_json())["arms"]["left"]
     clock = arm["clocks"]["left"]

@@ -45,8 +45,6 @@ VISIBLE = 2.0
 """Least motion of the SMR by a visible change, in standard deviations of a measured coordinate."""
 MOST_STEPS = 20.0
 """Size of a visible change at most, in least changes: 1 mm; what would have to be larger is not seen."""
-TRACKER = "tracker"
-"""Name that takes the place of an arm's if the tracker moved."""
 
 ChangeKind = Literal["tracker", "base", "smr", "parameter", "effect"]
 
