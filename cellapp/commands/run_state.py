@@ -143,7 +143,7 @@ class RunState:
             return "collect" if any(arm.planned for arm in arms) else ""  # a run of tests alone has no plan
         last = last_session(run.sessions())
         ended = None if last is None else last.outcome
-        if ended == "complete" and _has_new_stops(run):
+        if ended == "complete" and run.untried_stops():  # they were added to the plan
             return "collect"
         done = ended in ("complete", "accurate enough")
         if not done and not stages.current and any(arm.measured < arm.planned for arm in arms):
@@ -194,13 +194,6 @@ def complaints_in(folder: Path) -> list[str]:
     """Return the complaints of the run in a folder as it is now: ``--strict`` fails if there are any."""
     with RunFile.open(folder) as run:
         return RunState(run).complaints
-
-
-def _has_new_stops(run: RunFile) -> bool:
-    """Return whether stops were added to the plan that no session has tried yet; reserves do not count."""
-    total = max(run.planned_counts().values(), default=0)
-    tried = run.stops_done() | {one.stop for one in run.outcomes()}
-    return any(stop not in tried for stop in range(total) if stop not in run.profile.plan.reserves(total))
 
 
 def _same_json(one: str, other: str) -> bool:

@@ -22,7 +22,7 @@ from cellapp.estimation.calibration.identification import (
     robust_loss,
     start_from_nominal,
 )
-from cellapp.estimation.calibration.least_squares import MEDIAN_NORM, NORMAL_95
+from cellapp.estimation.calibration.least_squares import NORMAL_95, usual_scatter
 from cellapp.estimation.calibration.network_training import (
     Training,
     learn,
@@ -104,7 +104,7 @@ def gross_errors(residual_M: Array, angular: NDArray[np.bool_] | None = None) ->
     lengths = np.linalg.norm(residual_M, axis=1)
     if len(lengths) < _LEAST_READINGS:
         return np.zeros(len(lengths), dtype=np.bool_)
-    wrong = np.asarray(lengths > max(_MOST * float(np.median(lengths)) / MEDIAN_NORM, _LEAST_TYPICAL_M))
+    wrong = np.asarray(lengths > max(_MOST * usual_scatter(lengths, 0.0), _LEAST_TYPICAL_M))
     return wrong if wrong.mean() <= _LARGEST_SHARE else np.zeros_like(wrong)
 
 

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.identification import Identification, identify, start_from_nominal
-from cellapp.estimation.calibration.least_squares import MEDIAN_NORM, excess_variance
+from cellapp.estimation.calibration.least_squares import excess_variance, usual_scatter
 from cellapp.estimation.calibration.normal_equations import EffectColumns, Observations, linearise
 from cellapp.estimation.calibration.parameters import estimated_parameters, gram_matrix, weak_priors
 from cellapp.ground.errors import InputError
@@ -342,7 +342,7 @@ class OnlineFit:
 def _gross(residuals_M: Array, stated: Array, excess: float) -> NDArray[np.bool_]:
     """Return a mask (n,) of the readings whose residual (n, 3) [m] is far above that of most others."""
     norm = np.sqrt(np.sum(residuals_M**2, axis=1) / (excess + np.trace(stated, axis1=1, axis2=2) / 3.0))
-    return np.asarray(norm > GROSS * max(float(np.median(norm)) / MEDIAN_NORM, 1.0))
+    return np.asarray(norm > GROSS * usual_scatter(norm, 1.0))
 
 
 def _excess_of(found: Identification, stated: Array) -> float:
