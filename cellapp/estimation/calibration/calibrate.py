@@ -59,7 +59,7 @@ from cellapp.ground.results import Provenance, Stage, StageErrors
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.effects.registry import program_of
 from cellapp.robot.kinematics.chain import TOOL_NAMES, Geometry, smr_positions
-from cellapp.robot.kinematics.transforms import Array, apply, register
+from cellapp.robot.kinematics.transforms import Array, apply, register, rms_length
 from cellapp.robot.model import ArmModel, CellModel, ResidualNetwork
 from cellapp.robot.model.nominal import nominal_arm, prior_sigmas
 
@@ -302,8 +302,7 @@ def station_change(p_B: Array, p_M: Array) -> int | None:
 
 def _registration_rms(p_B: Array, p_M: Array) -> float:
     """Compute the rms distance [m] of the points after registration."""
-    off = p_M - apply(register(p_M, p_B), p_B)
-    return float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
+    return rms_length(p_M - apply(register(p_M, p_B), p_B))
 
 
 _HARDLY_BETTER = 0.9

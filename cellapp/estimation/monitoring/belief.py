@@ -23,7 +23,7 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import EFFECTS, EffectTerm, InputVariable, MeasurementConditions
 from cellapp.robot.kinematics.chain import all_names
-from cellapp.robot.kinematics.transforms import Array, apply
+from cellapp.robot.kinematics.transforms import Array, apply, rms_length
 from cellapp.robot.model import ArmModel, CellModel
 from cellapp.robot.model.model import relocated
 
@@ -302,7 +302,7 @@ def _day_m(model: ArmModel, measured: Quantities) -> float:
     if len(rest.effects) == len(model.effects):
         return 0.0
     moved = measured.predicted(model) - measured.predicted(rest)
-    return float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))
+    return rms_length(moved)
 
 
 def _is_of_day(term: EffectTerm) -> bool:
