@@ -125,13 +125,13 @@ def gross_errors_of_geometry(
         further fit. 0 if ``start`` may hide gross errors.
     """
     none, its = np.zeros(len(readings), dtype=np.bool_), measured_quantities(readings)
-    q, p_M, R_M_S, angular = its.readings.q, its.readings.p_M, its.R_M_S, its.angular
+    q, p_M, angular = its.readings.q, its.readings.p_M, its.angular
     if len(q) < _LEAST_READINGS:
         return none
 
     def lengths(geometry: Geometry) -> list[Array]:
         """Compute the lengths of the residuals of positions, and of orientations."""
-        found = np.linalg.norm(p_M - smr_positions(geometry, q, R_M_S), axis=1)
+        found = np.linalg.norm(its.off(geometry), axis=1)
         return [found] if angular is None else [found[~angular], found[angular]]
 
     if fitted >= _ENOUGH_FITTED:
@@ -140,10 +140,12 @@ def gross_errors_of_geometry(
             return none
     # A few readings that are wrong by a metre can pull a least-squares fit further off than the published geometry is.
     begin = min((start, nominal), key=lambda one: float(np.median(lengths(one)[0])))
-    offset = unknown_offset(nominal, q, R_M_S)
-    found = identify(begin, q, p_M, R_M_S=R_M_S, prior_sigma=offset, prior_mean=nominal, robust="tukey", tolerance=1e-6)
+    offset = unknown_offset(nominal, q, its.R_M_S)
+    found = identify(
+        begin, q, p_M, R_M_S=its.R_M_S, prior_sigma=offset, prior_mean=nominal, robust="tukey", tolerance=1e-6
+    )
     found = found.settled("robust fit that finds gross errors")
-    return its.readings_with(gross_errors(p_M - smr_positions(found.geometry, q, R_M_S), angular))
+    return its.readings_with(gross_errors(its.off(found.geometry), angular))
 
 
 def gross_errors_of_model(model: ArmModel, its: Quantities) -> NDArray[np.bool_]:
@@ -538,10 +540,7 @@ def _fitted(profile: Profile, name: str, readings: Readings, *, robust: bool = F
     with refused_by_arm(name):
         found, excess_m = identify_with_excess(
             nominal,
-            its.readings.q,
-            its.readings.p_M,
-            R_M_S=its.R_M_S,
-            sigma=its.stated,
+            its,
             parameter_set=settings.parameter_set,
             prior_sigma=prior_sigmas(nominal, settings.priors, arm.fixed),
             robust=robust_loss(settings, robust=robust),
