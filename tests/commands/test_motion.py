@@ -65,8 +65,8 @@ def test_one_arm_is_calibrated_from_a_recording_alone(tmp_path: Path) -> None:
     assert arm["splits"]["validate"] == arm["validate"]["geometry"]["position_mm"]["n"]
     assert {"identify", "validate"} == set(samples.split or ())
     assert 100 < len(samples) < 40.0 / 0.3, "of 40 s: nearer neighbours err alike"
-    left = smr_positions(true_arm(profile, "left"), samples.q) - samples.p_M
-    assert np.sqrt(np.mean(left**2)) < 2.0 * SIGMA_M, "the samples stand at the fitted clock"
+    off = smr_positions(true_arm(profile, "left"), samples.q) - samples.p_M
+    assert np.sqrt(np.mean(off**2)) < 2.0 * SIGMA_M, "the samples stand at the fitted clock"
     assert overview.stages[0].out_of_date is None
     assert exported.arms is not None
     titles = [part.title for part in CALIBRATE.view(result).parts if isinstance(part, Table)]

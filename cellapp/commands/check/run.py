@@ -20,11 +20,11 @@ from cellapp.cell.run.recordings import known_readings
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.commands.check.locate import locate_run, typed_pose
 from cellapp.commands.check.request import CheckRequest
-from cellapp.commands.check.station import excess_of_readings, profile_at_station
 from cellapp.commands.confirm import confirmation
 from cellapp.commands.record import Work
 from cellapp.commands.run_state import RunState
 from cellapp.commands.stages import RunStages, StoredStage, append_stage, basis_on_model
+from cellapp.commands.station import excess_of_readings, profile_at_station
 from cellapp.commands.stored_model import arms_stage, model_of, stage_in_force
 from cellapp.estimation.calibration.station_location import predicted_points
 from cellapp.estimation.monitoring.belief import CheckBelief, check_belief

@@ -11,7 +11,6 @@ from cellapp.cell.driving.target_visit import push
 from cellapp.cell.driving.verification import Findings, result_of
 from cellapp.cell.run import RunFile
 from cellapp.cell.targets.records import VerifyResult
-from cellapp.commands.check.station import profile_at_station
 from cellapp.commands.compensate.charts import target_charts
 from cellapp.commands.compensate.run import compensated_commands, listed_targets
 from cellapp.commands.compensate.tables import all_measured_tables, verification_tables
@@ -22,6 +21,7 @@ from cellapp.commands.record import View, Work
 from cellapp.commands.run_results import RunResults, evidence_of
 from cellapp.commands.run_state import RunState
 from cellapp.commands.stages import append_stage, basis_on_model
+from cellapp.commands.station import profile_at_station
 from cellapp.commands.stored_model import model_of, require_current_model, require_own_factory, stage_in_force
 from cellapp.commands.view.parts import Part
 from cellapp.estimation.uncertainty.budget import Judge

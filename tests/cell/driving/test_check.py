@@ -22,12 +22,12 @@ from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.safety.gate import refuse_motion
 from cellapp.cell.targets.targets import load_targets
 from cellapp.commands.check.locate import typed_pose
-from cellapp.commands.check.station import excess_of_readings
 from cellapp.commands.check.view import location_sentences, location_tables
 from cellapp.commands.run_results import read_results
 from cellapp.commands.run_state import RunState
 from cellapp.commands.show.overview import run_overview
 from cellapp.commands.stages import CALIBRATION_FILE, read_stages
+from cellapp.commands.station import excess_of_readings
 from cellapp.commands.stored_model import model_of, stage_in_force
 from cellapp.estimation.monitoring.belief import SequentialState
 from cellapp.estimation.monitoring.records import LocateResult

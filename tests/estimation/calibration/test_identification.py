@@ -204,8 +204,7 @@ def test_scatter_beyond_the_stated_uncertainty_enters_the_weights():
     # where the statement is right, nothing is added
     nominal, _, q, p_M = measured(UR10, OFF_AXIS, seed=18, n=300)
     start = start_from_nominal(nominal, q, p_M, tool_unknown=False)
-    its = measured_quantities(readings_at(q, p_M, sigma_m=np.full(300, SIGMA)))
-    assert identify_with_excess(start, its)[1] == 0.0
+    assert identify_with_excess(start, measured_quantities(readings_at(q, p_M, sigma_m=SIGMA)))[1] == 0.0
 
 
 def sixty_readings():

@@ -77,8 +77,8 @@ def start_of(readings, nominal):
 
 
 def identified(readings, nominal, **changes):
-    its, arguments = measured_quantities(readings), {"prior_sigma": {}, **changes}
-    return identify_with_excess(start_of(readings, nominal), its, **arguments)
+    arguments = {"prior_sigma": {}, **changes}
+    return identify_with_excess(start_of(readings, nominal), measured_quantities(readings), **arguments)
 
 
 def test_derivatives_of_positions_and_orientations_are_those_of_the_chain():
