@@ -6,10 +6,9 @@ from collections.abc import Mapping
 
 from cellapp.estimation.iso9283.norm import IsoCommands
 from cellapp.estimation.iso9283.records import IsoLine
+from cellapp.estimation.uncertainty.budget import Range
 from cellapp.estimation.uncertainty.records import AngleContribution, Characteristic, Judgement, UncertaintyContribution
 from cellapp.ground.results import ErrorSummary, Record, Result
-
-Range = tuple[float, float]
 
 
 class CertifiedErrors(Record):

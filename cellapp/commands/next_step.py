@@ -1,6 +1,6 @@
-"""Progress of a run: what is measured of each arm, and what comes next. Only this module says what is left to do.
+"""Steps that settle what the results of a run leave open, and what each step concluded, in a word.
 
-What each step of a run concluded, in a word. Only this module tells done from decided, undecided and stopped.
+Only this module tells done from decided, undecided and stopped.
 """
 
 from __future__ import annotations
@@ -10,21 +10,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from cellapp.cell.run.file import RunFile
-from cellapp.cell.run.recordings import recordings_digest
 from cellapp.cell.run.sqlite_file import REPORT_FILE
 from cellapp.cell.targets.records import VerifyResult
-from cellapp.commands.certificate.judgements import judge_run, other_arms_found, unmeasured_tests
-from cellapp.commands.collect.result import last_session
-from cellapp.commands.run_results import RunResults, read_results
-from cellapp.commands.stages import CERTIFICATE_FILE, NextVerb, RunStages, at_targets, next_command
+from cellapp.commands.judgements import other_arms_found, unmeasured_tests
+from cellapp.commands.run_results import RunResults
+from cellapp.commands.stages import CERTIFICATE_FILE, NextVerb, at_targets
 from cellapp.commands.view.words import named_errors
 from cellapp.estimation.discovery.records import DiscoverResult
 from cellapp.estimation.iso9283.norm import IsoTest
 from cellapp.estimation.iso9283.records import Iso9283Result
 from cellapp.estimation.monitoring.records import CheckResult
-from cellapp.estimation.uncertainty.budget import measured_conditions
-from cellapp.estimation.uncertainty.records import Characteristic, Conformity, Judgement, overall
+from cellapp.estimation.uncertainty.records import Characteristic, Judgement, overall
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import (
     CALIBRATE,
@@ -71,59 +67,6 @@ class Next:
     def short(self) -> str:
         """The command, else the words."""
         return self.command or self.text
-
-
-def arm_states(run: RunFile) -> dict[str, ArmProgress]:
-    """Return how much of each arm's plan is measured; counts the readings without reading them."""
-    planned, measured = run.planned_counts(), run.split_counts()
-    states = {}
-    for name, arm in run.profile.arms.items():
-        splits, total = measured.get(name, {}), planned.get(name, 0)
-        states[name] = ArmProgress(
-            type=arm.type.model,
-            planned=total - len(run.profile.plan.reserves(total)),
-            measured=sum(splits.values()),
-            splits={split or "none": n for split, n in splits.items()},
-            recorded=recordings_digest(run, name)[0],
-        )
-    return states
-
-
-def missing_step(
-    run: RunFile, stages: RunStages, arms: Mapping[str, ArmProgress], folder: Path | None = None
-) -> Next | None:
-    """Return the first step of the day that is missing or out of date, for a run in ``folder``; None without one."""
-    folder = folder or run.folder
-    if run.removed_kinds():
-        return Next("Measure the cell anew:", next_command("plan", folder), "plan")
-    if not (verb := _missing_verb(run, stages, arms)):
-        return None
-    begun = verb == "collect" and any(arm.measured for arm in arms.values())
-    words = "Repeat what is out of date:" if stages.out_of_date else "Go on with:"
-    if verb == "collect":
-        words = "Measure the planned stops that are left, then calibrate and discover again:"
-    return Next(words, next_command(verb, folder) + (" --resume" if begun else ""), verb)
-
-
-def next_step(
-    run: RunFile,
-    stages: RunStages,
-    arms: Mapping[str, ArmProgress],
-    complaints: Sequence[str] = (),
-    results: RunResults | None = None,
-) -> Next:
-    """Return what comes next; it is empty only if nothing is missing, out of date, undecided or failed.
-
-    ``complaints``: what is out of date, as ``complaints_of`` says; ``results``: those of the run, if they were read.
-    """
-    if missing := missing_step(run, stages, arms):
-        return missing
-    results = results or read_results(run, stages)
-    readings = {name: run.readings(name) for name in run.profile.arms if arms[name].measured}
-    remaining = list(open_steps(run.profile, results, judge_run(run.profile, results, measured_conditions(readings))))
-    tests = (one for one in remaining if one.verb == ISO9283 and one.command)
-    again = (step for words, step in _again(run) if any(one.startswith(words) for one in complaints))
-    return next((one for found in (tests, again, remaining) for one in found), Next(""))
 
 
 def open_steps(profile: Profile, results: RunResults, judgements: Sequence[Judgement]) -> Iterator[Next]:
@@ -190,12 +133,13 @@ def _targets_step(results: RunResults, missing: Sequence[Judgement]) -> Next:
     return Next(text, verb="push")
 
 
-def _again(run: RunFile) -> Iterator[tuple[str, Next]]:
-    """Yield the beginning of each complaint and the step that mends it, in the order of the steps."""
-    folder, words = shell_word(run.folder), "Repeat what is out of date:"
+def repetitions(run: Path) -> Iterator[tuple[str, Next]]:
+    """Yield the beginning of each complaint about a run in a folder and the step that mends it, in the order of the
+    steps."""
+    folder, words = shell_word(run), "Repeat what is out of date:"
     verbs: dict[str, tuple[NextVerb, str]] = {
-        f"'{COMPENSATE}'": ("compensate", at_targets("compensate", run.folder)),
-        f"'{PUSH}'": ("push", at_targets("push", run.folder)),
+        f"'{COMPENSATE}'": ("compensate", at_targets("compensate", run)),
+        f"'{PUSH}'": ("push", at_targets("push", run)),
         f"'{PATH}'": ("", "cellapp docs targets"),
         f"'{ISO9283}'": ("iso9283", f"cellapp iso9283 --run {folder}"),
         f"'{CHECK}'": ("check", f"cellapp check {folder}"),
@@ -207,33 +151,10 @@ def _again(run: RunFile) -> Iterator[tuple[str, Next]]:
         yield begins, Next(words, command, verb)
 
 
-def _missing_verb(run: RunFile, stages: RunStages, arms: Mapping[str, ArmProgress]) -> NextVerb:
-    if not any(arm.measured or arm.recorded for arm in arms.values()):
-        return "collect" if any(arm.planned for arm in arms.values()) else ""  # a run of tests alone has no plan
-    last = last_session(run.sessions())
-    ended = None if last is None else last.outcome
-    if ended == "complete" and _has_new_stops(run):
-        return "collect"
-    done = ended in ("complete", "accurate enough")
-    if not done and not stages.current and any(arm.measured < arm.planned for arm in arms.values()):
-        return "collect"
-    verb = stages.next_verb()
-    if verb == "push" and not any(arm.driver.has_device for arm in run.profile.arms.values()):
-        verb = "" if COMPENSATE in stages.current and COMPENSATE not in stages.out_of_date else "compensate"
-    return verb or ("" if (run.folder / REPORT_FILE).exists() else "report")
-
-
 def _missing_tests(profile: Profile, results: RunResults, driven: Sequence[str]) -> tuple[IsoTest, ...]:
     """Return the tests of ISO 9283 that the tolerances need and the run lacks, for arms that can be driven."""
     stored = None if ISO9283 in results.out_of_date else results.iso9283
     return unmeasured_tests(profile.tolerances, driven, {} if stored is None else stored.arms)
-
-
-def _has_new_stops(run: RunFile) -> bool:
-    """Return whether stops were added to the plan that no session has tried yet; reserves do not count."""
-    total = max(run.planned_counts().values(), default=0)
-    tried = run.stops_done() | {one.stop for one in run.outcomes()}
-    return any(stop not in tried for stop in range(total) if stop not in run.profile.plan.reserves(total))
 
 
 Kind = Literal["done", "conforms", "not decided", "part", "does not conform", "out of date"]
@@ -259,17 +180,6 @@ def stage_conclusions(results: RunResults) -> dict[StageName, Conclusion]:
     for name, reason in results.out_of_date.items():
         found[name] = Conclusion("out of date", f"{name} is out of date: {reason}")
     return found
-
-
-def conformity(run: RunFile, results: RunResults) -> Conformity | None:
-    """Return the verdict on the tolerances of a run's profile; None if the profile has none or nothing is judged."""
-    if not run.profile.tolerances.any_given:
-        return None
-    if CALIBRATE in results.out_of_date or run.removed_kinds():
-        return "not decided"
-    readings = {name: run.readings(name) for name in run.profile.arms}
-    measured = measured_conditions({name: arm for name, arm in readings.items() if len(arm)})
-    return overall(judge_run(run.profile, results, None if results.calibrate is None else measured))
 
 
 def _concluded(results: RunResults) -> Iterator[tuple[StageName, Conclusion]]:

@@ -20,6 +20,7 @@ from cellapp.commands.check.run import plant_of
 from cellapp.commands.compensate.run import compensate_run
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.commands.run_results import read_results
+from cellapp.commands.run_state import RunState
 from cellapp.commands.show.overview import run_overview
 from cellapp.commands.stages import append_stage, basis_on_model, read_stages
 from cellapp.commands.stored_model import stage_in_force
@@ -126,7 +127,7 @@ def test_an_unchanged_cell_is_valid_within_ten_minutes(run: RunFile) -> None:
     assert all(set(stop.points) == {"left", "right"} for stop in found.stops)
     assert max(point.error_mm for stop in found.stops for point in stop.points.values()) < 0.15
     stages = read_stages(run)
-    assert (stages.stale_model(), run_overview(run).stale) == ("", "")
+    assert (stages.stale_model(), run_overview(RunState(run)).stale) == ("", "")
     assert CheckResult.from_json(stages.current[CHECK].text, "") == found == read_results(run).check
     basis = sure(stages.current[CHECK].basis)
     assert list(basis.stages) == [DISCOVER]
@@ -137,7 +138,7 @@ def test_the_other_zero_of_a_joint_is_measured(arm_changed: tuple[RunFile, Check
     assert (found.verdict, found.simulated) == ("arm changed", True)
     assert "cellapp calibrate NEW --prior" in found.next_step
     assert found.complaints() == ["the calibration does not hold as it is: arm changed (arm left: zero of joint 3)"]
-    assert run_overview(run).stale == "the last 'check' found: arm changed"
+    assert run_overview(RunState(run)).stale == "the last 'check' found: arm changed"
     change, *others = found.changes
     assert (change.words, change.unit, others) == ("arm left: zero of joint 3", "rad", [])
     assert change.value == pytest.approx(0.3e-3, abs=5e-5)
@@ -162,7 +163,7 @@ def test_a_change_is_named_and_the_model_not_used(
     (complaint,) = found.complaints()
     assert verdict in complaint
     stale = read_stages(run).stale_model()
-    assert stale == f"the last 'check' found: {verdict}" == run_overview(run).stale
+    assert stale == f"the last 'check' found: {verdict}" == run_overview(RunState(run)).stale
     assert compensate_run(run, SOME).notes[0].endswith(stale)
     with pytest.raises(InputError, match="nothing was moved"):
         push_run(run, SOME, verify=True)

@@ -14,16 +14,9 @@ from cellapp.cell.run.sqlite_file import REPORT_FILE
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.commands.confirm import MotionNotConfirmed, asked_once, confirmation, first_path_words, require_permission
 from cellapp.commands.run_results import read_results
+from cellapp.commands.run_state import RunState, complaints_in
 from cellapp.commands.show.overview import run_overview
-from cellapp.commands.stages import (
-    CERTIFICATE_FILE,
-    append_stage,
-    basis_of,
-    complaints_in,
-    complaints_of,
-    counted_basis,
-    read_stages,
-)
+from cellapp.commands.stages import CERTIFICATE_FILE, append_stage, basis_of, counted_basis, read_stages
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import CheckFailed
 from cellapp.ground.profile import Profile
@@ -69,14 +62,14 @@ def test_a_page_is_out_of_date_as_soon_as_the_run_holds_something_newer(
 ) -> None:
     monkeypatch.setattr("cellapp.commands.next_step._missing_tests", lambda profile, results, driven: ())
     with RunFile.open(finished_copy, write=True) as run:
-        assert complaints_of(run) == []
+        assert RunState(run).complaints == []
         report_run(run, write_page)
-        assert complaints_of(run) == []
+        assert RunState(run).complaints == []
         verify = sure(read_results(run).verify)
         append_stage(run, VERIFY, verify.model_copy(update={"stopped": "by hand"}), basis_of(run))
-        (complaint,) = complaints_of(run)
+        (complaint,) = RunState(run).complaints
         assert complaint.startswith(f"{REPORT_FILE} is out of date (the run has changed since)")
-        overview = run_overview(run)
+        overview = run_overview(RunState(run))
         assert overview.complaints == (complaint,)
         assert (overview.next_verb, overview.next_step) == ("report", f"cellapp report {finished_copy}")
     assert complaints_in(finished_copy) == [complaint]
@@ -86,14 +79,14 @@ def test_a_page_is_out_of_date_as_soon_as_the_run_holds_something_newer(
 def test_a_page_that_does_not_say_what_it_shows_is_out_of_date(finished_copy: Path, content: bytes) -> None:
     (finished_copy / REPORT_FILE).write_bytes(content)
     with RunFile.open(finished_copy) as run:
-        (complaint,) = complaints_of(run)
+        (complaint,) = RunState(run).complaints
     assert "an older version wrote it" in complaint
 
 
 def test_a_certificate_that_the_run_does_not_store_is_named(finished_copy: Path) -> None:
     (finished_copy / CERTIFICATE_FILE).write_text("{}")
     with RunFile.open(finished_copy) as run:
-        assert complaints_of(run) == [f"{CERTIFICATE_FILE} is not of this run: it stores no certificate"]
+        assert RunState(run).complaints == [f"{CERTIFICATE_FILE} is not of this run: it stores no certificate"]
 
 
 # -- Real arms move only after a green doctor and a person's permission; simulated ones never ask ----------------------

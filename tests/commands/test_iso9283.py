@@ -19,6 +19,7 @@ from cellapp.commands.record import Work
 from cellapp.commands.report.data import read_report_data
 from cellapp.commands.report.sections import report_sections
 from cellapp.commands.run_results import read_results
+from cellapp.commands.run_state import RunState
 from cellapp.commands.stages import read_stages
 from cellapp.estimation.iso9283.records import Iso9283Result
 from cellapp.ground.control import JobControl
@@ -58,7 +59,7 @@ def test_a_calibrated_run_is_tested_as_found_and_as_left(finished_copy: Path) ->
         assert ISO9283 in stages.current
         assert ISO9283 not in stages.out_of_date
         assert read_results(run).iso9283 == result
-        (section,) = (one for one in report_sections(run, read_report_data(run)) if one.key == "iso9283")
+        (section,) = (one for one in report_sections(run, read_report_data(RunState(run))) if one.key == "iso9283")
     assert Iso9283Result.from_json(result.to_json(), "test") == result
     assert (result.missing, result.stopped) == ((), "")
     for arm in result.arms.values():

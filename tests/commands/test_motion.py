@@ -20,7 +20,7 @@ from cellapp.commands.discover.run import discover_run
 from cellapp.commands.export.request import ExportRequest
 from cellapp.commands.export.run import export
 from cellapp.commands.import_ import VERB as IMPORT
-from cellapp.commands.next_step import arm_states, next_step
+from cellapp.commands.run_state import RunState
 from cellapp.commands.show.overview import run_overview
 from cellapp.commands.stages import read_stages
 from cellapp.commands.view.table import Table
@@ -48,11 +48,11 @@ def test_one_arm_is_calibrated_from_a_recording_alone(tmp_path: Path) -> None:
     assert (imported.readings, imported.recordings[0].points.n) == ({}, 3800)
     assert isinstance(IMPORT.view(imported).parts[0], Table)
     with RunFile.open(tmp_path / "run", write=True) as run:
-        assert next_step(run, read_stages(run), arm_states(run)).verb == "calibrate"
+        assert RunState(run).next_step.verb == "calibrate"
         result = calibrate_run(run)
-        samples = known_readings(run, "left")
-        assert len(run.readings("left")) == 0
-        overview = run_overview(run)
+        samples, state = known_readings(run, "left"), RunState(run)
+        assert (len(run.readings("left")), state.measured["left"].readings) == (0, len(samples))
+        overview = run_overview(state)
         exported = export_as_run(run, "dh", tmp_path / "arm.yaml")
     arm = json.loads(result.to_json())["arms"]["left"]
     clock = arm["clocks"]["left"]
@@ -65,8 +65,8 @@ def test_one_arm_is_calibrated_from_a_recording_alone(tmp_path: Path) -> None:
     assert arm["splits"]["validate"] == arm["validate"]["geometry"]["position_mm"]["n"]
     assert {"identify", "validate"} == set(samples.split or ())
     assert 100 < len(samples) < 40.0 / 0.3, "of 40 s: nearer neighbours err alike"
-    left = smr_positions(true_arm(profile, "left"), samples.q) - samples.p_M
-    assert np.sqrt(np.mean(left**2)) < 2.0 * SIGMA_M, "the samples stand at the fitted clock"
+    off = smr_positions(true_arm(profile, "left"), samples.q) - samples.p_M
+    assert np.sqrt(np.mean(off**2)) < 2.0 * SIGMA_M, "the samples stand at the fitted clock"
     assert overview.stages[0].out_of_date is None
     assert exported.arms is not None
     titles = [part.title for part in CALIBRATE.view(result).parts if isinstance(part, Table)]
@@ -174,7 +174,7 @@ def test_long_fits_of_recordings_say_what_they_do_and_end_on_request(tmp_path: P
     ]
     assert of_calibrate[-1].note == "arm left: step 1 with all points", "nothing is done after the request"
     with RunFile.open(tmp_path / "run", write=True) as run:
-        assert next_step(run, read_stages(run), arm_states(run)).verb == "calibrate"
+        assert RunState(run).next_step.verb == "calibrate"
         seen: list[Progress] = []
         calibrate_run(run, JobToken(seen.append))
     assert [(event.done, event.total) for event in seen if event.job == "recordings of motion"][-1] == (1, 1)

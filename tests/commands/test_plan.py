@@ -33,6 +33,7 @@ from cellapp.commands.plan.run import (
     planned_stops,
     replan,
 )
+from cellapp.commands.run_state import RunState
 from cellapp.commands.show.overview import run_overview
 from cellapp.estimation.readings import Readings
 from cellapp.ground.control import JobControl
@@ -148,10 +149,10 @@ def test_a_run_without_a_plan_cannot_be_exported_extended_or_planned_again(tmp_p
 
 def test_a_run_is_extended_and_collected_on(run: RunFile, plan: PlannedStops) -> None:
     collect_run(run)
-    assert run_overview(run).next_verb == "calibrate"
+    assert run_overview(RunState(run)).next_verb == "calibrate"
     assert extend_plan(run, 3).stops == {"left": STOPS + 3, "right": STOPS + 3}
     extend_plan(run, 2)
-    assert run_overview(run).next_step.endswith("--resume")
+    assert run_overview(RunState(run)).next_step.endswith("--resume")
     stops = read_planned_stops(run)
     same_stops(stops.take(range(STOPS)), plan)
     assert stops.block[STOPS:].tolist() == [2, 2, 2, 3, 3]

@@ -15,6 +15,7 @@ from cellapp.cell.run.file import note_profile
 from cellapp.cell.targets.targets import load_targets
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.run_results import read_results
+from cellapp.commands.run_state import RunState
 from cellapp.commands.show.overview import run_overview
 from cellapp.commands.show.view import overview_sentences
 from cellapp.commands.stages import CALIBRATION_FILE, append_stage, basis_of, read_stages, readings_digest
@@ -62,7 +63,7 @@ def swap_splits(run: RunFile) -> None:
 def test_a_tolerance_of_iso_9283_that_nothing_measured_comes_next(finished_copy: Path) -> None:
     with RunFile.open(finished_copy, write=True) as run:
         write_page(run)
-        overview = run_overview(run)
+        overview = run_overview(RunState(run))
     assert overview.next_verb == "iso9283"
     assert overview.next_step == f"cellapp iso9283 pose --run {finished_copy}"
     assert with_keys(f"next: {overview.next_step}") == f"next: {way_to('iso9283')}"
@@ -101,11 +102,11 @@ def test_something_comes_next_while_anything_is_undecided_failed_or_out_of_date(
                 name: arm.model_copy(update={"verdict": "ambiguous"}) for name, arm in results.discover.arms.items()
             }
             changed = altered(results, discover={"arms": found})
-            monkeypatch.setattr("cellapp.commands.next_step.read_results", lambda run, stages: changed)
+            monkeypatch.setattr("cellapp.commands.run_state.read_results", lambda run, stages: changed)
         elif change == "out of date":
             append_stage(run, COMPENSATE, results.compensate, basis_of(run).model_copy(update={"profile": "changed"}))
         write_page(run)
-        overview = run_overview(run)
+        overview = run_overview(RunState(run))
     (said,) = [one for one in overview_sentences(overview) if one.startswith("next: ")]
     assert overview.next_verb == verb
     assert says in said.replace(str(finished_copy), "DIR")
@@ -118,7 +119,7 @@ def test_every_stage_states_what_it_rests_on(finished_run: Path) -> None:
         assert stages.out_of_date == {}
         assert stages.stale_model() == ""
         assert stages.next_step(finished_run) == ""
-        assert run_overview(run).next_verb == "report"
+        assert run_overview(RunState(run)).next_verb == "report"
         calibrate, discover = stages.current[CALIBRATE], stages.current[DISCOVER]
         assert stages.in_force == discover
         assert calibrate.basis is not None
@@ -210,7 +211,7 @@ def test_another_profile_outdates_everything(finished_copy: Path) -> None:
 def test_a_run_from_before_stages_keeps_its_readings_and_is_calibrated_anew(tmp_path: Path) -> None:
     with RunFile.open(Path(shutil.copytree(OLD_RUN, tmp_path / "old"))) as run:
         assert read_stages(run).current == {}
-        assert run_overview(run).next_step.startswith("cellapp calibrate")
+        assert run_overview(RunState(run)).next_step.startswith("cellapp calibrate")
         assert len(run.readings("left"))
 
 

@@ -55,7 +55,7 @@ GROUPS: Mapping[str, tuple[Sequence[str], Sequence[str]]] = {
         ],
     ),
     "decision rule": (
-        ["cellapp/estimation/uncertainty/budget.py", "cellapp/commands/certificate/judgements.py"],
+        ["cellapp/estimation/uncertainty/budget.py", "cellapp/commands/judgements.py"],
         [
             *("tests/estimation/uncertainty", "tests/commands/certificate", "tests/commands/test_iso9283.py"),
             *("tests/commands/test_iso9283_points.py", "tests/cell/targets/test_goals.py"),

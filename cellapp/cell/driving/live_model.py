@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 import scipy
 
-from cellapp.estimation.calibration.online import NO_GEOMETRY_M, Innovation, OnlineFit, Residuals
+from cellapp.estimation.calibration.online import GROSS, NO_GEOMETRY_M, Innovation, OnlineFit, Residuals
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
@@ -175,8 +175,6 @@ _ALONG_NORMAL = math.cos(math.radians(30.0))
 """Cosine of the largest angle between offset and seat axis for another SMR, or one that is not in its seat."""
 _ELSEWHERE_M = 1e-3
 """Distance from the expected position from which a reading is compared with the other arms' SMRs [m]."""
-_GROSS = 12.0
-"""The same in standard uncertainties; the fit gives such a reading zero weight."""
 _SETTLED_AFTER = 15
 """Delay [stops] before a deviation enters the correlation: a fault correlates stops too, but is detected earlier."""
 _INDEPENDENT_PAIRS = 20.0
@@ -455,10 +453,10 @@ def _wrong_smrs(stop: int, found: Mapping[str, Innovation]) -> list[Suspicion]:
                 " which SMR the tracker measures for it, and the SMR's offset in the profile"
             )
             suspicions.append(Suspicion("wrong SMR", text, name))
-        elif off > max(_ELSEWHERE_M, _GROSS * one.scatter_m):
+        elif off > max(_ELSEWHERE_M, GROSS * one.scatter_m):
             for other, theirs in found.items():
                 away = float(np.linalg.norm(one.p_M - (theirs.p_M - theirs.off_M)))
-                if other != name and away < min(off, max(_ELSEWHERE_M, _GROSS * theirs.scatter_m)):
+                if other != name and away < min(off, max(_ELSEWHERE_M, GROSS * theirs.scatter_m)):
                     text = (
                         f"arm {name}: the reading of stop {stop + 1} is {away * 1e3:.1f} mm from where the SMR of arm"
                         f" {other} should be, and {off * 1e3:.0f} mm from its own: the tracker measured the wrong SMR"

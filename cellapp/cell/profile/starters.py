@@ -16,8 +16,7 @@ from pydantic import model_validator
 from cellapp.cell.profile.loader import load_profile, read_document
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import path_exists, write_new
-from cellapp.ground.profile.schema import CellPoint
-from cellapp.ground.profile.sections import ArmPoint
+from cellapp.ground.profile.sections import ArmPoint, CellPoint
 from cellapp.ground.starters import offered_profiles, starters_folder
 from drivers.quantities import Turn
 from drivers.settings import Section

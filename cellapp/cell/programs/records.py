@@ -11,10 +11,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
-from cellapp.estimation.uncertainty.records import CommonUncertainty
+from cellapp.estimation.uncertainty.records import CommonUncertainty, Six
 from cellapp.ground.results import Record, Result
 
-Six = tuple[float, float, float, float, float, float]
 TargetKind = Literal["pose", "joints"]
 
 

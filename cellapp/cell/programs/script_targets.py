@@ -31,7 +31,7 @@ import numpy as np
 
 from cellapp.cell.profile.factory import fitting_types
 from cellapp.cell.profile.loader import own_arm_types
-from cellapp.cell.programs.records import ArmPlace, ProgramTarget, ReadProgram, Six, UnchangedMotion
+from cellapp.cell.programs.records import ArmPlace, ProgramTarget, ReadProgram, UnchangedMotion
 from cellapp.cell.programs.urscript import (
     SIX,
     Constants,
@@ -46,6 +46,7 @@ from cellapp.cell.programs.urscript import (
     parse_program,
     parts_of,
 )
+from cellapp.estimation.uncertainty.records import Six
 from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.chain import of_one_type, same_chain
 from cellapp.robot.kinematics.transforms import Array
@@ -349,7 +350,7 @@ def _span(expression: ast.expr) -> tuple[int, int]:
     return expression.col_offset, expression.end_col_offset
 
 
-_LARGEST = 32 * 1024 * 1024
+LARGEST = 32 * 1024 * 1024
 """Maximum size of the unpacked XML [bytes]: a program of a thousand waypoints has about one MB."""
 _GZIP = 31
 _HIDDEN = re.compile(rb"<!--.*?(?:-->|\Z)|<!\[CDATA\[.*?(?:\]\]>|\Z)|<\?.*?(?:\?>|\Z)", re.DOTALL)
@@ -414,11 +415,11 @@ def read_urp(data: bytes, where: str, table: Array, published: Array) -> ReadPro
 def _unpacked(data: bytes, where: str) -> bytes:
     unpacker = zlib.decompressobj(_GZIP)
     try:
-        xml = unpacker.decompress(data, _LARGEST)
+        xml = unpacker.decompress(data, LARGEST)
     except zlib.error:
         raise InputError(f"{where}: no PolyScope program: it is not packed by gzip") from None
     if unpacker.unconsumed_tail:
-        raise InputError(f"{where}: unpacked it has more than {_LARGEST // 2**20} MB; no program has")
+        raise InputError(f"{where}: unpacked it has more than {LARGEST // 2**20} MB; no program has")
     if not unpacker.eof:
         raise InputError(f"{where}: the file ends too early; copy it again")
     return xml

@@ -17,6 +17,7 @@ from cellapp.cell.programs.script_targets import six
 from cellapp.cell.programs.urscript import pose_matrix, pose_numbers
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import refuse_stop
+from cellapp.cell.targets.ranges import MARGIN
 from cellapp.estimation.uncertainty.common import beyond, divided
 from cellapp.estimation.uncertainty.records import CommonUncertainty
 from cellapp.ground.counting import counted
@@ -283,9 +284,6 @@ _ROUNDS = 30
 """Maximum number of iterates of ``aim``: each gains two decades, but beside a singularity."""
 _SAME_ROTATION = 1e-12
 """Residual [m, rad] at which that iteration ends: far below any controller's resolution."""
-_MARGIN = np.radians(2.0)
-"""Margin [rad] of the joint ranges of the readings. Model corrections vary over tens of degrees, and a correction alone
-may move a program's posture beyond the outermost reading."""
 
 
 def meant_flange(chain: Geometry, target: ProgramTarget) -> Array:
@@ -372,7 +370,7 @@ def nearest(solutions: Array, limits: Array, to: Array) -> Array | None:
 
 def outside(q: Array, measured: Array) -> list[int]:
     """Return the indices of joints whose position in ``q`` (N,) is outside the readings (n, N), modulo whole turns."""
-    low, high = measured.min(axis=0) - _MARGIN, measured.max(axis=0) + _MARGIN
+    low, high = measured.min(axis=0) - MARGIN, measured.max(axis=0) + MARGIN
     shifted = q + 2.0 * np.pi * np.ceil((low - q) / (2.0 * np.pi))
     return np.flatnonzero(shifted > high).tolist()
 

@@ -492,6 +492,12 @@ class RunFile:
         with self.look() as connection:
             return select_stops_done(connection)
 
+    def untried_stops(self) -> set[int]:
+        """Return the planned stops that no session has tried yet; reserves do not count."""
+        total = max(self.planned_counts().values(), default=0)
+        tried = self.stops_done() | {one.stop for one in self.outcomes()}
+        return {*range(total)} - tried - {*self.profile.plan.reserves(total)}
+
     def assign_splits(self, arm: str, names: Sequence[str | None]) -> None:
         """Store the split of each reading of ``arm``, in the order of ``readings``; None is no split."""
         check_splits(names)

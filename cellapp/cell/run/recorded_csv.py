@@ -36,7 +36,7 @@ from cellapp.cell.run.columns import (
 from cellapp.cell.run.csv_text import NUMBER, CsvTable, Problems, is_number, read_header, short, stamp_seconds
 from cellapp.cell.run.orientation_columns import Written, with_quaternions, written_orientation
 from cellapp.estimation.readings.columns import OF_SOCKETS
-from cellapp.estimation.readings.readings import lost_points
+from cellapp.estimation.readings.readings import SAME_STOP_RAD, lost_points
 from cellapp.ground.errors import InputError
 
 _SEPARATORS: Mapping[str, str] = {";": "semicolons", "\t": "tabs", "|": "bars", ",": "commas", " ": "blanks"}
@@ -50,7 +50,6 @@ _OWN = {name for column in not_per_joint() for name in column.csv} | {"arm"}
 _LEAST_ROWS = 3
 _RIGID, _APART = 0.05, 0.01
 """Largest scatter of the distance of two SMRs on a flange, as a share of it; least distance, of the points' spread."""
-_SAME_STOP_RAD = 1e-3
 _LIST = re.compile(r"p?[\[(]([^\[\]()]*,[^\[\]()]*)[\])]")
 _WITH_UNIT = re.compile(r"([+-]?[0-9.]+(?:[eE][+-]?[0-9]+)?)\s*(°|deg|rad|mm|cm|m|in)")
 _Cells = dict[str, tuple[str, ...]]
@@ -382,7 +381,7 @@ def _stops(q: NDArray[np.float64], smrs: Sequence[str] | None) -> list[int]:
     """Number the rows by stop: SMRs of one stop stand one after another, at the same joint positions."""
     found, seen = [0], {"" if smrs is None else smrs[0]}
     for row in range(1, len(q)):
-        moved = smrs is None or smrs[row] in seen or np.abs(q[row] - q[row - 1]).max() > _SAME_STOP_RAD
+        moved = smrs is None or smrs[row] in seen or np.abs(q[row] - q[row - 1]).max() > SAME_STOP_RAD
         seen = {"" if smrs is None else smrs[row]} | (set() if moved else seen)
         found.append(found[-1] + moved)
     return found

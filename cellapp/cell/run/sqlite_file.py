@@ -12,7 +12,7 @@ from __future__ import annotations
 import contextlib
 import os
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -384,6 +384,11 @@ class Session:
     reason: str | None
     requests: tuple[SessionRequest, ...]
     again: str = ""
+
+
+def last_session(sessions: Sequence[Session]) -> Session | None:
+    """Return the last session that collected remaining stops (none measured again); None if there is none."""
+    return next((one for one in reversed(sessions) if not one.again), None)
 
 
 @dataclass(frozen=True)

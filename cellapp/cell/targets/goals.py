@@ -17,7 +17,7 @@ from cellapp.cell.targets.targets import Target, WorkFrame
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Arm, Pose, Profile
 from cellapp.robot.kinematics.chain import Geometry
-from cellapp.robot.kinematics.transforms import Array, apply, register
+from cellapp.robot.kinematics.transforms import Array, apply, register, rms_length
 from cellapp.robot.model import CellModel
 
 _FREE = (np.nan, np.nan, np.nan)
@@ -73,7 +73,7 @@ def work_frame_pose(frame: WorkFrame) -> tuple[Array, float]:
     measured = np.array([point.measured for point in frame.points])
     T = register(measured, nominal)
     residual = measured - apply(T, nominal)
-    return T, float(np.sqrt(np.mean(np.sum(residual**2, axis=1))))
+    return T, rms_length(residual)
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------

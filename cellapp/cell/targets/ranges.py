@@ -50,6 +50,7 @@ from cellapp.cell.targets.records import UnknownCondition
 from cellapp.cell.targets.targets import Target, WorkingConditions
 from cellapp.estimation.calibration.quantities import measurement_conditions
 from cellapp.estimation.readings import Readings
+from cellapp.estimation.uncertainty.budget import Range, range_of
 from cellapp.ground.profile import Arm, Profile
 from cellapp.robot.effects import (
     EFFECTS,
@@ -299,10 +300,8 @@ def _line(distance: Array, sigma: Array) -> tuple[float, float]:
     return float(constant), float(slope)
 
 
-_MARGIN = np.radians(2.0)
+MARGIN = np.radians(2.0)
 """Margin [rad] of the joint ranges without extrapolation: model corrections vary over tens of degrees."""
-
-Range = tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -353,11 +352,11 @@ class ConditionRanges:
         return cls(
             q=np.stack([readings.q.min(axis=0), readings.q.max(axis=0)]),
             step=None if known.step is None else np.nan_to_num(np.nanmedian(np.abs(known.step), axis=0)),
-            payload_kg=_range(known.payload_kg),
+            payload_kg=range_of(known.payload_kg),
             payload_centers_F=_centers_of_ends(known),
-            dwell_s=_range(known.dwell_s),
-            time_s=_range(known.time_s),
-            air_c=_range(known.air_c),
+            dwell_s=range_of(known.dwell_s),
+            time_s=range_of(known.time_s),
+            air_c=range_of(known.air_c),
             joints_c=None
             if joints_c is None or not np.isfinite(joints_c).all()
             else np.stack([joints_c.min(axis=0), joints_c.max(axis=0)]),
@@ -389,7 +388,7 @@ class ConditionRanges:
         """Return the configurations nearest to ``q`` (n, N) [rad] within the joint ranges of readings, plus 2 deg."""
         if self.q is None:
             return q
-        return np.clip(q, self.q[0] - _MARGIN, self.q[1] + _MARGIN)
+        return np.clip(q, self.q[0] - MARGIN, self.q[1] + MARGIN)
 
 
 def _centers_of_ends(known: MeasurementConditions) -> Array:
@@ -397,12 +396,6 @@ def _centers_of_ends(known: MeasurementConditions) -> Array:
     if known.payload_kg is None or known.payload_center_F is None or not np.isfinite(known.payload_kg).any():
         return np.full((2, 3), np.nan)
     return known.payload_center_F[[np.nanargmin(known.payload_kg), np.nanargmax(known.payload_kg)]]
-
-
-def _range(values: Array | None) -> Range | None:
-    if values is None or not np.isfinite(values).any():
-        return None
-    return float(np.nanmin(values)), float(np.nanmax(values))
 
 
 _POINTS = np.linspace(0.0, 1.0, 5)

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from cellapp.estimation.uncertainty.records import CommonUncertainty, ToleranceVerdict, UncertaintyParts
 from cellapp.ground.counting import first_few
-from cellapp.ground.results import DecisionRule, ErrorSummary, Record, Result
+from cellapp.ground.results import DecisionRule, ErrorSummary, Point, Record, Result
 
 
 class TargetRecord(Record):
@@ -161,9 +161,6 @@ class CompensateResult(Result, schema="cellapp-compensate"):
     targets: tuple[TargetCommand, ...]
     notes: tuple[str, ...] = ()
     common: Mapping[str, CommonUncertainty] = {}
-
-
-Point = tuple[float, float, float]
 
 
 class MeasuredTarget(TargetRecord):

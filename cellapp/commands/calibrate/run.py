@@ -104,9 +104,7 @@ def sample_missing_splits(run: RunFile) -> tuple[str, ...]:
 
 def _of_stops_to_come(run: RunFile) -> tuple[str, ...]:
     """Say what becomes of planned stops that are measured after the splits are sampled."""
-    total = max(run.planned_counts().values(), default=0)
-    seen = {*run.stops_done(), *(one.stop for one in run.outcomes()), *run.profile.plan.reserves(total)}
-    more = len({*range(total)} - seen)
+    more = len(run.untried_stops())
     words = f"{counted(more, 'planned stop is', 'planned stops are')} not measured: splits are chosen once, so that"
     return (f"{words} those measured later only train; to split all of them, collect into a new run",) if more else ()
 

@@ -18,16 +18,8 @@ from cellapp.commands.certificate.request import CertificateRequest
 from cellapp.commands.certificate.statement import certificate_of
 from cellapp.commands.certificate_result import CertificateResult
 from cellapp.commands.record import Work
-from cellapp.commands.run_results import read_results
-from cellapp.commands.stages import (
-    CERTIFICATE_FILE,
-    Basis,
-    RunStages,
-    append_stage,
-    basis_of,
-    read_history,
-    read_stages,
-)
+from cellapp.commands.run_state import RunState
+from cellapp.commands.stages import CERTIFICATE_FILE, Basis, RunStages, append_stage, basis_of, read_history
 from cellapp.estimation.uncertainty.budget import measured_conditions
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import RENEWED
@@ -73,7 +65,8 @@ def certify(run: RunFile, request: CertificateRequest, work: Work, now: datetime
     allowed.check_file(folder / SUMS_FILE)
     shown = (CERTIFICATE_FILE, PAGE_FILE)
     profile = run.profile if request.data is None else with_sections(run.profile, request.data, DATA_SECTIONS)
-    stages = read_stages(run)
+    state = RunState(run)
+    stages = state.stages
     if not any(name in stages.current for name in (CALIBRATE, *CERTIFIED_STAGES)):
         word = shell_word(run.folder)
         raise InputError(
@@ -89,7 +82,7 @@ def certify(run: RunFile, request: CertificateRequest, work: Work, now: datetime
         rests_on = {name: _sum(made / name) for name in certified}
         result = certificate_of(
             profile,
-            read_results(run, stages),
+            state.results,
             measured_conditions(all_known_readings(run)),
             recorded_controllers(run),
             _times_of_measuring(run, stages),

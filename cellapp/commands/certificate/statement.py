@@ -7,7 +7,6 @@ from datetime import date
 from typing import Any
 
 from cellapp.cell.targets.records import ArmVerification, VerifyResult
-from cellapp.commands.certificate.judgements import found_in, judge_run, orientation_budget
 from cellapp.commands.certificate_result import (
     SIMULATED,
     CertificateResult,
@@ -19,6 +18,7 @@ from cellapp.commands.certificate_result import (
     CertifiedTests,
 )
 from cellapp.commands.compensate.words import unknown_conditions
+from cellapp.commands.judgements import found_in, judge_run, orientation_budget
 from cellapp.commands.run_results import RunResults, evidence_of
 from cellapp.estimation.iso9283.records import CommandedTests, IsoValue
 from cellapp.estimation.uncertainty.budget import (

@@ -5,20 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from cellapp.commands.certificate.request import CertificateRequest
-from cellapp.commands.certificate_result import (
-    CertificateResult,
-    CertifiedArm,
-    CertifiedCharacteristic,
-    CertifiedTests,
-    Range,
-)
+from cellapp.commands.certificate_result import CertificateResult, CertifiedArm, CertifiedCharacteristic, CertifiedTests
 from cellapp.commands.record import View
 from cellapp.commands.view.parts import Facts, Section
 from cellapp.commands.view.table import Cell, Field, Table, table_of, table_of_cells, with_rows
 from cellapp.commands.view.words import CHARACTERISTIC_WORDS, RULE_WORDS, Verdict, judgement_table, verdict_of
 from cellapp.estimation.iso9283.coverage import not_done
 from cellapp.estimation.iso9283.norm import ISO_COMMANDS
-from cellapp.estimation.uncertainty.budget import COVERAGE, combined
+from cellapp.estimation.uncertainty.budget import COVERAGE, Range, combined
 from cellapp.estimation.uncertainty.records import AngleContribution, UncertaintyContribution
 from cellapp.ground.counting import counted
 from cellapp.ground.grouping import grouped

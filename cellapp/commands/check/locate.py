@@ -13,10 +13,11 @@ from cellapp.cell.driving.supervision import moving_cell
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.recordings import known_readings
 from cellapp.commands.check.request import CheckRequest
-from cellapp.commands.check.station import excess_of_readings, last_location, profile_at_station
 from cellapp.commands.confirm import confirmation
 from cellapp.commands.record import Work, six_numbers
+from cellapp.commands.run_state import RunState
 from cellapp.commands.stages import RunStages, StoredStage, append_stage, basis_on_model, read_stages
+from cellapp.commands.station import excess_of_readings, last_location, profile_at_station
 from cellapp.commands.stored_model import append_with_model, arms_stage, export_model, model_of
 from cellapp.estimation.calibration.station_location import displacement_m
 from cellapp.estimation.monitoring.records import LocatedPoint, LocateResult, StationPose
@@ -57,10 +58,11 @@ def locate_run(
     Cancelled
         Nothing is stored.
     """
-    control, stages = work.control, read_stages(run)
+    control, state = work.control, RunState(run)
+    stages = state.stages
     used = _stage_before_moving(run, stages)
     profile, model = profile_at_station(run, stages, simulated_pose), model_of(run, used)
-    rough_T, excess_m = _rough_station(run, stages, tracker_pose), excess_of_readings(run, model)
+    rough_T, excess_m = _rough_station(run, stages, tracker_pose), excess_of_readings(state, model)
     candidates = {name: known_readings(run, name).q for name in run.profile.arms}
     notes: list[str] = []
     opened = noting_controllers(run, notes)

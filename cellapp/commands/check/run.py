@@ -20,10 +20,11 @@ from cellapp.cell.run.recordings import known_readings
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.commands.check.locate import locate_run, typed_pose
 from cellapp.commands.check.request import CheckRequest
-from cellapp.commands.check.station import excess_of_readings, profile_at_station
 from cellapp.commands.confirm import confirmation
 from cellapp.commands.record import Work
-from cellapp.commands.stages import RunStages, StoredStage, append_stage, basis_on_model, read_stages
+from cellapp.commands.run_state import RunState
+from cellapp.commands.stages import RunStages, StoredStage, append_stage, basis_on_model
+from cellapp.commands.station import excess_of_readings, profile_at_station
 from cellapp.commands.stored_model import arms_stage, model_of, stage_in_force
 from cellapp.estimation.calibration.station_location import predicted_points
 from cellapp.estimation.monitoring.belief import CheckBelief, check_belief
@@ -80,11 +81,12 @@ def check_run(run: RunFile, request: CheckRequest, work: Work, plant: Plant | No
     control = work.control
     cell_bodies(run.profile)  # a profile that lacks a pose is refused before minutes of computing
     probed = [name for name, arm in run.profile.arms.items() if arm.smr.probe is not None]
-    checked = _checked(run, probed)
+    state = RunState(run)
+    checked = _checked(state, probed)
     design = design_of(checked.belief)
     chosen = _stops(run.profile, checked, design, request.most_stops)
     profile = _with_plant(profile_at_station(run, checked.stages), plant)
-    test, excess_m = SequentialTest(design, len(chosen)), excess_of_readings(run, checked.model)
+    test, excess_m = SequentialTest(design, len(chosen)), excess_of_readings(state, checked.model)
     notes: list[str] = []
     if checked.stale:
         notes.append(f"the model in force, that of '{checked.used.name}', was checked although {checked.stale}")
@@ -131,9 +133,9 @@ class _Checked:
         return "; ".join(filter(None, (self.stages.outdated_arms(), self.stages.outdated_station())))
 
 
-def _checked(run: RunFile, rotated: Collection[str] = ()) -> _Checked:
+def _checked(state: RunState, rotated: Collection[str] = ()) -> _Checked:
     """Read what is checked; arms ``rotated`` with orientation. Raises ``InputError`` if the run is not calibrated."""
-    stages = read_stages(run)
+    run, stages = state.run, state.stages
     used, arms = stage_in_force(run, stages), arms_stage(run, stages)
     readings = {name: known_readings(run, name) for name in run.profile.arms}
     located = LocateResult.from_json(used.text, f"{run.path}: {LOCATE}") if used.name == LOCATE else None

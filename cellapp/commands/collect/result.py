@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 from pydantic import Field
 
 from cellapp.cell.run.records import ReferenceDrift
-from cellapp.cell.run.sqlite_file import Outcome, Session
+from cellapp.cell.run.sqlite_file import Outcome, Session, last_session
 from cellapp.ground.results import Record, Result
 
 
@@ -82,8 +82,3 @@ class CollectionResult(Result, schema="cellapp-collection"):
     def last(self) -> Session | None:
         """``last_session`` of them."""
         return last_session(self.sessions)
-
-
-def last_session(sessions: Sequence[Session]) -> Session | None:
-    """Return the last session that collected remaining stops (none measured again); None if there is none."""
-    return next((one for one in reversed(sessions) if not one.again), None)

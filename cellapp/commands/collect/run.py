@@ -6,11 +6,11 @@ from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.driving.records import CollectResult
 from cellapp.cell.driving.requests import running_job
 from cellapp.cell.run import RunFile
-from cellapp.commands.check.station import refuse_second_station
 from cellapp.commands.collect.request import CollectRequest
 from cellapp.commands.confirm import confirmation
 from cellapp.commands.record import Work
 from cellapp.commands.rehearse.result import keep_log
+from cellapp.commands.station import refuse_second_station
 from cellapp.ground.counting import listed_numbers
 from cellapp.ground.threads import one_blas_thread
 

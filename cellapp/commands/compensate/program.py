@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from cellapp.cell.driving.cell_checks import same_calibration
-from cellapp.cell.programs.records import CorrectedTarget, CorrectResult, ReadProgram, Six
-from cellapp.cell.programs.script_targets import read_script, read_urp, six
+from cellapp.cell.exports.command_table import JOINTS
+from cellapp.cell.programs.records import CorrectedTarget, CorrectResult, ReadProgram
+from cellapp.cell.programs.script_targets import LARGEST, read_script, read_urp, six
 from cellapp.cell.programs.solving import (
     Workplace,
     assumptions,
@@ -32,6 +33,7 @@ from cellapp.commands.record import View, six_numbers
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of, notes_on, require_own_factory, stage_in_force
 from cellapp.commands.view.table import Cell, Table, table_of_cells, with_rows
+from cellapp.estimation.uncertainty.records import Six
 from cellapp.ground.errors import InputError
 from cellapp.ground.file_text import readable
 from cellapp.ground.outputs import CORRECTED, NEW_ONLY, Outputs, require_suffix, write_new_bytes
@@ -40,11 +42,8 @@ from cellapp.ground.shell import shell_word
 from cellapp.robot.model import ArmModel
 from cellapp.robot.model.nominal import controller_rows, nominal_arm, published_rows
 
-_JOINTS = 6
 _MARKS = {".script": f"# {CORRECTED}", ".urp": f"<!-- {CORRECTED} -->"}
 """Last line of a copy."""
-_LARGEST = 32 * 1024 * 1024
-"""Most bytes of a program that are read."""
 
 
 def correct(run: RunFile, request: CompensateRequest, outputs: Outputs = NEW_ONLY) -> CorrectResult:
@@ -131,8 +130,8 @@ def _arm(run: RunFile, arms: Sequence[str], asked: str | None) -> str:
     if name not in arms:
         raise InputError(f"compensate: {run.path} has no calibrated arm '{name}'; arms are {', '.join(arms)}")
     joints = len(run.profile.arms[name].type.joints)
-    if joints != _JOINTS:
-        raise InputError(f"compensate: arm '{name}' has {joints} joints; programs of UR controllers have {_JOINTS}")
+    if joints != JOINTS:
+        raise InputError(f"compensate: arm '{name}' has {joints} joints; programs of UR controllers have {JOINTS}")
     return name
 
 
@@ -155,9 +154,9 @@ def _read(program: Path, out: Path, settings: Arm, tcp: Six | None) -> ReadProgr
     kind = program_kind(program)
     require_suffix(out, (kind,), f"compensate: a copy of {program}")
     with readable(program, "give a program, .script or .urp"), program.open("rb") as file:
-        data = file.read(_LARGEST + 1)
-    if len(data) > _LARGEST:
-        raise InputError(f"{program}: larger than {_LARGEST // 2**20} MB; no program is")
+        data = file.read(LARGEST + 1)
+    if len(data) > LARGEST:
+        raise InputError(f"{program}: larger than {LARGEST // 2**20} MB; no program is")
     if kind == ".script":
         return read_script(data, str(program), tcp)
     return read_urp(data, str(program), controller_rows(settings), published_rows(settings))

@@ -25,13 +25,13 @@ from cellapp.cell.driving.requests import running_job
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.csv_text import table_text
-from cellapp.commands.certificate.judgements import judge_characteristics
-from cellapp.commands.check.station import profile_at_station
 from cellapp.commands.confirm import confirmation
 from cellapp.commands.iso9283.request import Iso9283Request
+from cellapp.commands.judgements import judge_characteristics
 from cellapp.commands.plan.run import default_folder
 from cellapp.commands.record import Work
 from cellapp.commands.stages import RunStages, StoredStage, append_stage, basis_of, basis_on_model, read_stages
+from cellapp.commands.station import profile_at_station
 from cellapp.commands.stored_model import model_of, require_current_model, stale_notes
 from cellapp.estimation.iso9283.coverage import coverage
 from cellapp.estimation.iso9283.evaluate import HEADER, raw_rows

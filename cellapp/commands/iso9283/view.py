@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cellapp.commands.certificate.judgements import found_in
 from cellapp.commands.iso9283.request import Iso9283Request
+from cellapp.commands.judgements import found_in
 from cellapp.commands.record import View
 from cellapp.commands.view.charts import Axis, Chart, series
 from cellapp.commands.view.parts import Part, Section, section_of

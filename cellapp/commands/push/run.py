@@ -10,9 +10,7 @@ from cellapp.cell.driving.requests import running_job
 from cellapp.cell.driving.target_visit import push
 from cellapp.cell.driving.verification import Findings, result_of
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.recordings import all_known_readings
 from cellapp.cell.targets.records import VerifyResult
-from cellapp.commands.check.station import profile_at_station
 from cellapp.commands.compensate.charts import target_charts
 from cellapp.commands.compensate.run import compensated_commands, listed_targets
 from cellapp.commands.compensate.tables import all_measured_tables, verification_tables
@@ -20,11 +18,13 @@ from cellapp.commands.compensate.words import push_lines, verify_lines
 from cellapp.commands.confirm import confirmation
 from cellapp.commands.push.request import PushRequest
 from cellapp.commands.record import View, Work
-from cellapp.commands.run_results import evidence_of, read_results
-from cellapp.commands.stages import append_stage, basis_on_model, read_stages
+from cellapp.commands.run_results import RunResults, evidence_of
+from cellapp.commands.run_state import RunState
+from cellapp.commands.stages import append_stage, basis_on_model
+from cellapp.commands.station import profile_at_station
 from cellapp.commands.stored_model import model_of, require_current_model, require_own_factory, stage_in_force
 from cellapp.commands.view.parts import Part
-from cellapp.estimation.uncertainty.budget import Judge, measured_conditions
+from cellapp.estimation.uncertainty.budget import Judge
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import CellappError, InputError
 from cellapp.ground.profile import Profile
@@ -58,7 +58,8 @@ def push_targets(run: RunFile, request: PushRequest, work: Work) -> VerifyResult
         If a device refused or failed, or a controller or its payload is not the calibrated one.
     Cancelled
     """
-    stages, targets = read_stages(run), listed_targets(request.targets, run.profile)
+    state, targets = RunState(run), listed_targets(request.targets, run.profile)
+    stages = state.stages
     require_own_factory(run, "push")
     if not request.out_of_date:
         require_current_model(run, stages, "push")
@@ -66,7 +67,7 @@ def push_targets(run: RunFile, request: PushRequest, work: Work) -> VerifyResult
     # simulated cell: the tracker where it stands now
     profile = carrying(profile_at_station(run, stages), ((one.arm, one.payload_kg) for one in compensated.targets))
     used, visited = stage_in_force(run, stages), list[Findings]()
-    judge, notes = judge_of(run, profile), [*compensated.notes]
+    judge, notes = judge_of(state, profile), [*compensated.notes]
 
     def opened(cell: Cell) -> None:
         notes.extend(check_cell(run, cell, commands, changed_controller=request.out_of_date))
@@ -88,7 +89,7 @@ def push_targets(run: RunFile, request: PushRequest, work: Work) -> VerifyResult
             work.control,
             verify=request.verify,
             rounds=request.iterate or 0,
-            repeatability_m=_repeatability_m(run),
+            repeatability_m=_repeatability_m(state.results),
             judge=judge,
             confirm=confirmation(run.profile, work.ask(run.profile.name)),
             opened=opened,
@@ -104,21 +105,17 @@ def push_targets(run: RunFile, request: PushRequest, work: Work) -> VerifyResult
     return store(pushed)
 
 
-def judge_of(run: RunFile, profile: Profile) -> Judge:
+def judge_of(state: RunState, profile: Profile) -> Judge:
     """Return the judge of a run's tolerances, with the uncertainty from its results and readings."""
-    results = read_results(run)
-    measured = measured_conditions(all_known_readings(run))
-    return Judge(profile, {name: evidence_of(results, name, measured.get(name)) for name in profile.arms})
+    arms = {name: evidence_of(state.results, name, state.measured.get(name)) for name in profile.arms}
+    return Judge(profile, arms)
 
 
-def _repeatability_m(run: RunFile) -> dict[str, float]:
+def _repeatability_m(results: RunResults) -> dict[str, float]:
     """Return each arm's standard deviation of a coordinate over repeated stops [m], tracker included, if known."""
-    calibrated = read_results(run).calibrate
-    if calibrated is None:
-        return {}
     return {
         name: arm.repeatability_mm.coordinate * 1e-3
-        for name, arm in calibrated.arms.items()
+        for name, arm in ({} if results.calibrate is None else results.calibrate.arms).items()
         if arm.repeatability_mm is not None
     }
 

@@ -9,23 +9,21 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
-from cellapp.cell.run import RunFile
 from cellapp.cell.run.measurement_order import read_in_order
 from cellapp.cell.run.recordings import known_readings
 from cellapp.cell.run.records import ArmOrder
 from cellapp.cell.run.sqlite_file import Event
 from cellapp.commands.calibrate.held_out import HeldOutArm
-from cellapp.commands.certificate.judgements import judge_run
 from cellapp.commands.compensate.words import Measured
-from cellapp.commands.next_step import Next, arm_states, missing_step
-from cellapp.commands.run_results import RunResults, read_results
-from cellapp.commands.stages import HERE, next_command, read_stages
+from cellapp.commands.next_step import Next
+from cellapp.commands.run_results import RunResults
+from cellapp.commands.run_state import RunState
+from cellapp.commands.stages import HERE, next_command
 from cellapp.commands.stored_model import model_of
 from cellapp.estimation.calibration.quantities import conditions_of_arms
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import DiscoverResult
 from cellapp.estimation.readings import Readings
-from cellapp.estimation.uncertainty.budget import measured_conditions
 from cellapp.estimation.uncertainty.records import Judgement
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
@@ -49,6 +47,8 @@ class ReportData:
         The stored model (JSON) that compensation uses; the same text as in ``calibration.json``.
     next_step : Next or None
         The first step that is missing or out of date; None if there is none.
+    judgements : tuple
+        Every error against its tolerance.
     """
 
     profile: Profile
@@ -61,6 +61,7 @@ class ReportData:
     events: tuple[Event, ...]
     model_in_force: str
     next_step: Next | None
+    judgements: tuple[Judgement, ...] = ()
 
     @property
     def discover(self) -> DiscoverResult | None:
@@ -71,11 +72,6 @@ class ReportData:
     def model(self) -> CellModel:
         """The newest model that holds."""
         return self.discovered or self.calibrated
-
-    @cached_property
-    def judgements(self) -> tuple[Judgement, ...]:
-        """Every error against its tolerance."""
-        return judge_run(self.profile, self.results, measured_conditions(self.readings))
 
     @cached_property
     def held_out(self) -> Mapping[str, HeldOutArm]:
@@ -90,7 +86,7 @@ class ReportData:
         }
 
 
-def read_report_data(run: RunFile) -> ReportData:
+def read_report_data(state: RunState) -> ReportData:
     """Read results, models and readings of a run.
 
     Raises
@@ -98,8 +94,7 @@ def read_report_data(run: RunFile) -> ReportData:
     InputError
         If the run is not calibrated, or its calibration cannot be read.
     """
-    stages = read_stages(run)
-    results = read_results(run, stages)
+    run, stages, results = state.run, state.stages, state.results
     again = next_command("calibrate", run.folder)
     if results.calibrate is None:
         reason = results.out_of_date.get(CALIBRATE, "not calibrated yet")
@@ -107,7 +102,7 @@ def read_report_data(run: RunFile) -> ReportData:
     if stages.in_force is None or stages.in_force.model is None:
         raise InputError(f"{run.path}: the calibrated model is missing; run '{again}' first")
     calibrated, measured = model_of(run, stages.current[CALIBRATE]), run.arms()
-    missing = missing_step(run, stages, arm_states(run), HERE)
+    missing = state.missing_step(HERE)
     return ReportData(
         profile=run.profile,
         results=results,
@@ -121,6 +116,7 @@ def read_report_data(run: RunFile) -> ReportData:
         events=tuple(run.events()),
         model_in_force=stages.in_force.model,
         next_step=None if missing is None or missing.verb == "report" else missing,
+        judgements=state.judgements,
     )
 
 

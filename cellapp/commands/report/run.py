@@ -9,7 +9,7 @@ from cellapp.cell.run.sqlite_file import REPORT_FILE
 from cellapp.commands.record import View, Work
 from cellapp.commands.report.request import ReportRequest
 from cellapp.commands.run_results import ReportResult, read_results, shown_by
-from cellapp.commands.stages import complaints_in
+from cellapp.commands.run_state import complaints_in
 from cellapp.ground.outputs import RENEWED
 
 

@@ -10,13 +10,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import date
 
-from cellapp.cell.run import RunFile
 from cellapp.cell.targets.records import ArmVerification
-from cellapp.commands.certificate.judgements import judge_run
 from cellapp.commands.discover.words import verdict_sentence
 from cellapp.commands.next_step import PAIR_ERRORS, Next, open_steps
-from cellapp.commands.report.data import ReportData, read_report_data
-from cellapp.commands.run_results import read_results
+from cellapp.commands.report.data import ReportData
+from cellapp.commands.run_state import RunState
 from cellapp.commands.stages import HERE
 from cellapp.commands.view.charts import SMALLEST_MM
 from cellapp.commands.view.parts import Parts, sentence
@@ -33,7 +31,6 @@ from cellapp.commands.view.words import (
 from cellapp.estimation.discovery.records import AcceptedEffect, ArmDiscoveryResult
 from cellapp.estimation.uncertainty.records import Judgement, overall
 from cellapp.ground.counting import counted, mm
-from cellapp.ground.errors import InputError
 from cellapp.ground.results import CALIBRATE, CHECK, DISCOVER, ErrorSummary, best_method, day_of
 
 # -- Errors against their tolerances, as shown on the page's first screen ---------------------------------------------
@@ -178,19 +175,16 @@ def _first_sentence(text: str) -> str:
 # -- The verdict on a run for a screen --------------------------------------------------------------------------------
 
 
-def read_verdict(run: RunFile, today: date) -> tuple[Verdict, Parts]:
+def read_verdict(state: RunState, data: ReportData | None, today: date) -> tuple[Verdict, Parts]:
     """Judge a run as it is now: its verdict; every judgement, the decision rules, what comes next.
 
-    Instruments are due as of ``today``.
+    ``data`` are those of a calibrated run. Instruments are due as of ``today``.
     """
-    try:
-        data = read_report_data(run)
-    except InputError:  # not calibrated yet
-        judgements = judge_run(run.profile, read_results(run))
+    judgements = state.judgements
+    if data is None:
         words = "Collect and calibrate first; tests by ISO 9283 with nominal commands need no calibration."
         found, later = Verdict(overall(judgements), "Not calibrated yet", words), list[Next]()
     else:
-        judgements = data.judgements
         found, later = verdict(data, judgements), list(steps(data, judgements, today))
     rules = dict.fromkeys(RULE_WORDS[one.rule] for one in judgements)
     next_steps = (f"next: {f'{step.text} {step.command}'.strip()}" for step in later)

@@ -17,11 +17,10 @@ from pydantic import ValidationError
 from cellapp.cell.driving.records import End
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.run_arms import StoredIdentity, arm_identities
-from cellapp.cell.run.sqlite_file import FILE_NAME
-from cellapp.commands.collect.result import last_session
-from cellapp.commands.next_step import arm_states, next_step
+from cellapp.cell.run.sqlite_file import FILE_NAME, last_session
 from cellapp.commands.record import Work
-from cellapp.commands.run_results import RunResults, read_results
+from cellapp.commands.run_results import RunResults
+from cellapp.commands.run_state import RunState
 from cellapp.commands.runs.request import RunsRequest
 from cellapp.commands.runs.result import (
     ArmFigures,
@@ -33,7 +32,6 @@ from cellapp.commands.runs.result import (
     RunSummary,
     StageSummary,
 )
-from cellapp.commands.stages import counted_basis, read_stages
 from cellapp.commands.stored_model import comparable_arms
 from cellapp.estimation.discovery.records import BeforeAfter
 from cellapp.estimation.monitoring.parameter_changes import CalibratedArm, Difference, differences
@@ -168,9 +166,8 @@ def _first_words(error: Exception) -> str:
 
 
 def _summary(run: RunFile, known: RunSummary) -> RunSummary:
-    stages, arms, sessions = read_stages(run, counted_basis), arm_states(run), run.sessions()
-    results = read_results(run, stages)
-    after = next_step(run, stages, arms, results=results)
+    state, sessions = RunState(run, counted=True), run.sessions()
+    results, after = state.results, state.next_step
     done, total = run.stops_done(), max(run.planned_counts().values(), default=0)
     reserves = run.profile.plan.reserves(total)
     remaining = sum(stop not in done and stop not in reserves for stop in range(total))
@@ -181,7 +178,7 @@ def _summary(run: RunFile, known: RunSummary) -> RunSummary:
         profile=run.profile.name,
         cell=run.profile.cell_kind,
         began=run.created,
-        arms=arms,
+        arms=state.arms,
         stops_planned=total - len(reserves),
         stops_measured=len(done),
         stops_left=remaining,
@@ -189,7 +186,7 @@ def _summary(run: RunFile, known: RunSummary) -> RunSummary:
         last_session=last,
         stages=tuple(
             StageSummary(name=name, written=stage.written, out_of_date=results.out_of_date.get(name))
-            for name, stage in stages.current.items()
+            for name, stage in state.stages.current.items()
         ),
         figures=run_figures(results),
         next_verb=after.verb,
@@ -267,7 +264,7 @@ def arm_history(arm: str, folder: Path | None = None) -> ArmHistory:
 
 def _arms(run: RunSummary) -> Iterator[_FoundRun]:
     with RunFile.peek(Path(run.run)) as opened:
-        stages = read_stages(opened, counted_basis)
+        stages = RunState(opened, counted=True).stages
         stale = stages.stale_arms()
         arms = {} if stale else comparable_arms(opened, stages)
         missing = stale or ("not calibrated" if stages.in_force is None else "its model has no covariance")

@@ -10,8 +10,8 @@ from cellapp.cell.profile.loader import leaves
 from cellapp.cell.profile.messages import dotted
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.run_arms import arm_identities
-from cellapp.commands.run_results import RunResults, read_results
-from cellapp.commands.stages import read_stages
+from cellapp.commands.run_results import RunResults
+from cellapp.commands.run_state import RunState
 from cellapp.commands.stored_model import comparable_arms
 from cellapp.commands.view.table import Table, table_of, with_rows
 from cellapp.commands.view.words import display_unit, geometry_unit, place_words
@@ -85,9 +85,9 @@ def compare_runs(a: RunFile, b: RunFile) -> RunComparison:
     """
     if a.folder.resolve() == b.folder.resolve():
         raise InputError(f"show: --against: {a.folder} and {b.folder} are the same run; give two different runs")
-    stages = read_stages(a), read_stages(b)
-    first, second = read_results(a, stages[0]), read_results(b, stages[1])
-    models = comparable_arms(a, stages[0]), comparable_arms(b, stages[1])
+    states = RunState(a), RunState(b)
+    first, second = (one.results for one in states)
+    models = [comparable_arms(one.run, one.stages) for one in states]
     common = [name for name in a.profile.arms if name in b.profile.arms]
     others = dict(_other_ones(a, b, common))
     arms = {}

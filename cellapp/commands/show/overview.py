@@ -8,39 +8,37 @@ from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.measurement_order import read_in_order
 from cellapp.cell.run.run_arms import unseen_arms
 from cellapp.cell.run.sqlite_file import Event
-from cellapp.commands.next_step import arm_states, next_step
+from cellapp.commands.run_state import RunState
 from cellapp.commands.show.result import HistoryResult, LogResult, OverviewResult, StageState
-from cellapp.commands.stages import RunStages, StoredStage, complaints_of, read_history, read_stages
+from cellapp.commands.stages import RunStages, StoredStage, read_history
 from cellapp.ground.counting import counted
 from cellapp.ground.removed import without_removed_keys
 from cellapp.ground.results import STAGE_NAMES
 
 
-def run_overview(run: RunFile) -> OverviewResult:
+def run_overview(state: RunState) -> OverviewResult:
     """Return profile, arms, current stages, and the next command."""
-    stages, arms = read_stages(run), arm_states(run)
-    complaints = complaints_of(run, stages)
-    after = next_step(run, stages, arms, complaints)
+    run, stages, after = state.run, state.stages, state.next_step
     return OverviewResult(
         run=str(run.folder),
         profile=run.profile.name,
-        arms=arms,
+        arms=state.arms,
         in_order=read_in_order(run),
         stages=tuple(_state(stage, stages) for stage in (*stages.current.values(), *_of_removed_steps(run))),
         in_force=None if stages.in_force is None else stages.in_force.name,
         stale="" if stages.in_force is None else stages.stale_model(),
         next_verb=after.verb,
         next_step=after.short,
-        complaints=tuple(complaints),
+        complaints=tuple(state.complaints),
         not_seen_at_rest=unseen_arms(run),
         ignored_keys=tuple(without_removed_keys(json.loads(run.profile_text))[1]),
     )
 
 
-def run_history(run: RunFile) -> HistoryResult:
+def run_history(state: RunState) -> HistoryResult:
     """Return every stage that was ever stored, oldest first."""
-    stages = read_stages(run)
-    return HistoryResult(run=str(run.folder), stages=tuple(_state(stage, stages) for stage in read_history(run)))
+    stages = tuple(_state(stage, state.stages) for stage in read_history(state.run))
+    return HistoryResult(run=str(state.run.folder), stages=stages)
 
 
 def run_log(run: RunFile, level: str | None = None, last: int | None = None) -> LogResult:

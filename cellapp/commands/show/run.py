@@ -12,13 +12,12 @@ from cellapp.commands.compensate.target_list import stored_state
 from cellapp.commands.plan.run import planned_stops
 from cellapp.commands.record import Work
 from cellapp.commands.registry import STORING, records
-from cellapp.commands.run_results import read_results
+from cellapp.commands.run_state import RunState
 from cellapp.commands.show.comparison import compare_runs
 from cellapp.commands.show.overview import run_history, run_log, run_overview
 from cellapp.commands.show.request import ShowRequest
 from cellapp.commands.show.result import RecordingsResult, Shown
 from cellapp.commands.show.view import profile_text
-from cellapp.commands.stages import complaints_of, read_stages
 from cellapp.commands.stored_model import model_of, values_in_force
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.job_client import look_at_job, who_uses
@@ -32,35 +31,37 @@ def run(request: ShowRequest, work: Work) -> Shown:
         if request.against is not None:
             with RunFile.open(request.against) as other:
                 return Shown(part="comparison", result=compare_runs(opened, other))
-        found = _found(opened, request, work)
-        return found.model_copy(update={"complaints": tuple(complaints_of(opened))}) if request.strict else found
+        state = RunState(opened)
+        found = _found(state, request, work)
+        return found.model_copy(update={"complaints": tuple(state.complaints)}) if request.strict else found
 
 
-def _found(run: RunFile, request: ShowRequest, work: Work) -> Shown:
+def _found(state: RunState, request: ShowRequest, work: Work) -> Shown:
+    run = state.run
     match request.part:
         case "overview":
-            result = run_overview(run)
+            result = run_overview(state)
             if job := _job_step(run):
                 result = result.model_copy(update={"next_step": job, "next_verb": ""})
             return Shown(part=request.part, result=result)
         case "history":
-            return Shown(part=request.part, result=run_history(run))
+            return Shown(part=request.part, result=run_history(state))
         case "plan":
             return Shown(part=request.part, result=_plan(run, request, work))
         case "collection":
-            state = collection_state(run, read_results(run))
-            if state is None:
+            collected = collection_state(run, state.results)
+            if collected is None:
                 raise InputError(
                     f"{run.path}: no session of collecting is recorded; an import or an older version made this run"
                 )
-            return Shown(part=request.part, result=state)
+            return Shown(part=request.part, result=collected)
         case "recordings":
             return Shown(part=request.part, result=_recordings(run))
         case "log":
             return Shown(part=request.part, result=run_log(run, request.level, request.last))
         case "profile":
             return Shown(part=request.part, text=profile_text(run.profile))
-    return _stored(run, request) if request.target is None else _target(run, request.target)
+    return _stored(state, request) if request.target is None else _target(state, request.target)
 
 
 def _job_step(run: RunFile) -> str:
@@ -89,22 +90,22 @@ def _plan(run: RunFile, request: ShowRequest, work: Work) -> Result:
     return forecast_run(run, work.control) if request.forecast else planned_stops(run)
 
 
-def _target(run: RunFile, name: str) -> Shown:
+def _target(state: RunState, name: str) -> Shown:
     """Return the last results on one target; the JSON is the result of ``compensate`` with only this target."""
-    results = read_results(run)
-    state = stored_state(results, name)
-    if state is None or results.compensate is None:
+    run, results = state.run, state.results
+    target = stored_state(results, name)
+    if target is None or results.compensate is None:
         raise InputError(
             f"{run.path}: no compensated target '{name}' is stored; 'cellapp show {shell_word(run.folder)}"
             " targets' lists them"
         )
-    alone = results.compensate.model_copy(update={"targets": state.commands})
+    alone = results.compensate.model_copy(update={"targets": target.commands})
     return Shown(part="targets", result=alone, results=results)
 
 
-def _stored(run: RunFile, request: ShowRequest) -> Shown:
+def _stored(state: RunState, request: ShowRequest) -> Shown:
     """Return the stored result of one verb, and whether it still holds."""
-    results = read_results(run)
+    run, results = state.run, state.results
     verb, how = next((verb, how) for verb in records(STORING) for how in verb.stored if how.part == request.part)
     name = next((stage for stage in how.stages if getattr(results, stage) is not None), how.stages[-1])
     reason = {str(key): text for key, text in results.out_of_date.items()}.get(name, "")
@@ -118,6 +119,6 @@ def _stored(run: RunFile, request: ShowRequest) -> Shown:
         driven = any(arm.driver.has_device for arm in run.profile.arms.values())
         lacks = verb.moves_arms and not driven
         raise InputError(f"{run.path}: {why}{'; these arms have no device' if lacks else f'; run {made_by} first'}")
-    if request.part == "parameters" and (used := read_stages(run).in_force) is not None:
+    if request.part == "parameters" and (used := state.stages.in_force) is not None:
         stored = values_in_force(stored, model_of(run, used))
     return Shown(part=request.part, result=stored, out_of_date=reason, made_by=made_by)

@@ -46,7 +46,7 @@ from cellapp.ground.progress import Notice
 from cellapp.ground.results import Record, Result
 from cellapp.ground.version import __version__
 from cellapp.robot.effects import EFFECTS
-from cellapp.robot.kinematics.transforms import Array, quaternions_of, rotation_vectors
+from cellapp.robot.kinematics.transforms import Array, quaternions_of, rms_length, rotation_vectors
 from cellapp.robot.model import ArmModel
 from cellapp.robot.model.nominal import OFF_AXIS
 from drivers.plant import REALISTIC, Plant, suggest_other_law
@@ -186,7 +186,7 @@ def _measured(
     stopped = own.q + scatter * rng.standard_normal(own.q.shape)
     exact = plant.smr_positions(name, stopped, **conditions)
     moved = hidden.smr_positions(name, stopped, **conditions) - exact
-    rms_m = _rms(moved)
+    rms_m = rms_length(moved)
     if rms_m < _STILL_M:
         return None
     scale = size_m / rms_m
@@ -198,7 +198,7 @@ def _measured(
         error = Rotation.from_rotvec(scale * rotated + probe.sigma * rng.standard_normal(moved.shape))
         quaternion = quaternions_of(error.as_matrix() @ before)
         further = {"quaternion_M": quaternion, "sigma_rad": np.full(len(moved), probe.sigma)}
-    visible = _rms(beyond_geometry(cell.profile.arms[name], stopped, exact, moved)) / rms_m
+    visible = rms_length(beyond_geometry(cell.profile.arms[name], stopped, exact, moved)) / rms_m
     return replace(own, p_M=points, covariance_M=covariance, **further), visible
 
 
@@ -212,10 +212,6 @@ def _searched(cell: TrialCell, asked: NamingTrial, readings: Readings, visible: 
     measured = ArmReadings.of_cell(profile, {**cell.models, name: model}, {**cell.readings, name: own})
     accepted = discover_arm(measured[name]).result.accepted
     return asked.model_copy(update={"visible": visible, "accepted": tuple(one.effect for one in accepted)})
-
-
-def _rms(vectors: Array) -> float:
-    return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1))))
 
 
 _FIRST = (0.5, 1.0, 2.0, 4.0)

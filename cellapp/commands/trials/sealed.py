@@ -33,7 +33,7 @@ from cellapp.ground.profile import Profile, Sensors
 from cellapp.ground.progress import UNATTENDED, JobToken
 from cellapp.ground.results import Record, Result
 from cellapp.ground.version import __version__
-from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.kinematics.transforms import Array, rms_length
 from drivers.no_driver import NoDriver
 from drivers.plant import suggest, suggest_other_law
 
@@ -380,7 +380,7 @@ def _hidden_laws(cell: _HiddenCell, parameters: _Effects, with_all: Mapping[str,
 
 def _rms_um(vectors: Array) -> float:
     """Return the root mean square length [µm] of vectors (n, 3) [m]; NaN if there are none."""
-    return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1)))) * 1e6 if len(vectors) else math.nan
+    return rms_length(vectors) * 1e6 if len(vectors) else math.nan
 
 
 def _stated_um(readings: Readings) -> float:

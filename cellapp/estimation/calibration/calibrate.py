@@ -22,7 +22,7 @@ from cellapp.estimation.calibration.identification import (
     robust_loss,
     start_from_nominal,
 )
-from cellapp.estimation.calibration.least_squares import MEDIAN_NORM, NORMAL_95
+from cellapp.estimation.calibration.least_squares import NORMAL_95, usual_scatter
 from cellapp.estimation.calibration.network_training import (
     Training,
     learn,
@@ -59,7 +59,7 @@ from cellapp.ground.results import Provenance, Stage, StageErrors
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.effects.registry import program_of
 from cellapp.robot.kinematics.chain import TOOL_NAMES, Geometry, smr_positions
-from cellapp.robot.kinematics.transforms import Array, apply, register
+from cellapp.robot.kinematics.transforms import Array, apply, register, rms_length
 from cellapp.robot.model import ArmModel, CellModel, ResidualNetwork
 from cellapp.robot.model.nominal import nominal_arm, prior_sigmas
 
@@ -104,7 +104,7 @@ def gross_errors(residual_M: Array, angular: NDArray[np.bool_] | None = None) ->
     lengths = np.linalg.norm(residual_M, axis=1)
     if len(lengths) < _LEAST_READINGS:
         return np.zeros(len(lengths), dtype=np.bool_)
-    wrong = np.asarray(lengths > max(_MOST * float(np.median(lengths)) / MEDIAN_NORM, _LEAST_TYPICAL_M))
+    wrong = np.asarray(lengths > max(_MOST * usual_scatter(lengths, 0.0), _LEAST_TYPICAL_M))
     return wrong if wrong.mean() <= _LARGEST_SHARE else np.zeros_like(wrong)
 
 
@@ -125,13 +125,13 @@ def gross_errors_of_geometry(
         further fit. 0 if ``start`` may hide gross errors.
     """
     none, its = np.zeros(len(readings), dtype=np.bool_), measured_quantities(readings)
-    q, p_M, R_M_S, angular = its.readings.q, its.readings.p_M, its.R_M_S, its.angular
+    q, p_M, angular = its.readings.q, its.readings.p_M, its.angular
     if len(q) < _LEAST_READINGS:
         return none
 
     def lengths(geometry: Geometry) -> list[Array]:
         """Compute the lengths of the residuals of positions, and of orientations."""
-        found = np.linalg.norm(p_M - smr_positions(geometry, q, R_M_S), axis=1)
+        found = np.linalg.norm(its.off(geometry), axis=1)
         return [found] if angular is None else [found[~angular], found[angular]]
 
     if fitted >= _ENOUGH_FITTED:
@@ -140,10 +140,12 @@ def gross_errors_of_geometry(
             return none
     # A few readings that are wrong by a metre can pull a least-squares fit further off than the published geometry is.
     begin = min((start, nominal), key=lambda one: float(np.median(lengths(one)[0])))
-    offset = unknown_offset(nominal, q, R_M_S)
-    found = identify(begin, q, p_M, R_M_S=R_M_S, prior_sigma=offset, prior_mean=nominal, robust="tukey", tolerance=1e-6)
+    offset = unknown_offset(nominal, q, its.R_M_S)
+    found = identify(
+        begin, q, p_M, R_M_S=its.R_M_S, prior_sigma=offset, prior_mean=nominal, robust="tukey", tolerance=1e-6
+    )
     found = found.settled("robust fit that finds gross errors")
-    return its.readings_with(gross_errors(p_M - smr_positions(found.geometry, q, R_M_S), angular))
+    return its.readings_with(gross_errors(its.off(found.geometry), angular))
 
 
 def gross_errors_of_model(model: ArmModel, its: Quantities) -> NDArray[np.bool_]:
@@ -302,8 +304,7 @@ def station_change(p_B: Array, p_M: Array) -> int | None:
 
 def _registration_rms(p_B: Array, p_M: Array) -> float:
     """Compute the rms distance [m] of the points after registration."""
-    off = p_M - apply(register(p_M, p_B), p_B)
-    return float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
+    return rms_length(p_M - apply(register(p_M, p_B), p_B))
 
 
 _HARDLY_BETTER = 0.9
@@ -539,10 +540,7 @@ def _fitted(profile: Profile, name: str, readings: Readings, *, robust: bool = F
     with refused_by_arm(name):
         found, excess_m = identify_with_excess(
             nominal,
-            its.readings.q,
-            its.readings.p_M,
-            R_M_S=its.R_M_S,
-            sigma=its.stated,
+            its,
             parameter_set=settings.parameter_set,
             prior_sigma=prior_sigmas(nominal, settings.priors, arm.fixed),
             robust=robust_loss(settings, robust=robust),

@@ -54,7 +54,7 @@ from cellapp.estimation.calibration.parameters import (
     sigma_by_name,
     unknown_offset,
 )
-from cellapp.estimation.calibration.quantities import with_probe
+from cellapp.estimation.calibration.quantities import Quantities, with_probe
 from cellapp.ground.errors import InputError, NotConverged
 from cellapp.ground.profile.schema import CalibrationSettings
 from cellapp.robot.kinematics.chain import AT_BOUND, TOOL_NAMES, Geometry, JointAngles, parameter_names, smr_positions
@@ -527,11 +527,8 @@ class _FinalFit(Protocol):
 
 def identify_with_excess(
     start: Geometry,
-    q: Array,
-    p_M: Array,
+    its: Quantities,
     *,
-    sigma: Array | None,
-    R_M_S: Array | None = None,
     parameter_set: SetName | ParameterSet = "auto",
     prior_sigma: Mapping[str, float] | None = None,
     robust: RobustName = "none",
@@ -544,7 +541,8 @@ def identify_with_excess(
     Unmodelled physics leaves residuals far above the uncertainty of the tracker. Weights from that uncertainty alone
     would let the few readings with the smallest one dominate. The first round weighs all readings alike. The excess
     variance is then estimated from the residuals and added to the stated one, and the identification is repeated until
-    it settles. Arguments are those of ``identify``; the mean of the priors is ``start``.
+    it settles. Arguments are those of ``identify`` for ``its`` vectors; the mean of the priors
+    is ``start``.
 
     If the flange hardly turned, its offset to the SMR acts like a shift of the base. One that is unknown
     (``tool_unknown``) then has a wide prior about the start, without which only unmodelled physics would decide it.
@@ -566,27 +564,27 @@ def identify_with_excess(
     NotConverged
         If the last identification, of the better one, did not converge.
     """
+    q, p_M = its.readings.q, its.readings.p_M
     fit: _FinalFit = partial(
         identify,
         q=q,
         p_M=p_M,
-        R_M_S=R_M_S,
-        prior_sigma={**(unknown_offset(start, q, R_M_S) if tool_unknown else {}), **(prior_sigma or {})},
+        R_M_S=its.R_M_S,
+        prior_sigma={**(unknown_offset(start, q, its.R_M_S) if tool_unknown else {}), **(prior_sigma or {})},
         prior_mean=start,
         robust=robust,
         tolerance=tolerance,
         max_iterations=max_iterations,
     )
-    found, excess = _rounds(fit, start, sigma, parameter_set)
+    found, excess = _rounds(fit, start, its.stated, parameter_set)
     tool = _mirrored_tool(found)
     if tool is None:
         return found.settled("identification"), excess
     at_origin = replace(start, tool=tool).with_T_M_B(np.eye(4))
     points = found.positions
     mirrored = at_origin.with_T_M_B(register(p_M[points], smr_positions(at_origin, q[points])))
-    if R_M_S is not None:
-        mirrored = with_probe(mirrored, q, R_M_S)
-    other, its_excess = _rounds(fit, mirrored, sigma, parameter_set)
+    mirrored = with_probe(mirrored, q, its.R_M_S)
+    other, its_excess = _rounds(fit, mirrored, its.stated, parameter_set)
     better = (other, its_excess) if _square(other) < _square(found) else (found, excess)
     return better[0].settled("identification"), better[1]
 

@@ -423,12 +423,20 @@ def whitener(sigma: Array) -> Array:
     return np.ascontiguousarray(np.linalg.inv(np.linalg.cholesky(sigma)).transpose(1, 2, 0))
 
 
+def usual_scatter(norm: Array, least: float) -> float:
+    """Return the standard deviation of a coordinate, at least ``least``, by the median of the norms (n,) of residuals.
+
+    A few gross errors do not move it: each rule for these is a multiple of it.
+    """
+    return max(float(np.median(norm)) / MEDIAN_NORM, least) if len(norm) else least
+
+
 def robust_weights(norm: Array, robust: Literal["huber", "tukey"]) -> Array:
     """Compute robust weights (n,) of whole points from the norms (n,) of their residuals, scaled by the median norm.
 
     Source: Huber, Robust Statistics (1981); Beaton, Tukey, Technometrics 16 (1974) 147 (biweight).
     """
-    u = norm / max(float(np.median(norm)) / MEDIAN_NORM, 1e-300)
+    u = norm / usual_scatter(norm, _SMALLEST)
     if robust == "huber":
         return np.asarray(np.minimum(1.0, _HUBER / np.maximum(u, 1e-12)))
     return np.asarray(np.where(u < _TUKEY, (1.0 - (np.minimum(u, _TUKEY) / _TUKEY) ** 2) ** 2, 0.0))

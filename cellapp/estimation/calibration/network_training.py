@@ -23,7 +23,7 @@ from cellapp.estimation.readings.readings import Groups, folds_of, repeats, undi
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Network
 from cellapp.ground.progress import UNTOLD, JobSteps
-from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.kinematics.transforms import Array, rms_length
 from cellapp.robot.model.model import Inputs, Layers, ResidualNetwork, network_inputs, rotate_about_z
 
 # -- Training of the residual network by Levenberg-Marquardt, selected by cross-validation ----------------------------
@@ -240,7 +240,7 @@ def train_network(
     scale = max(float(np.sqrt(np.mean(residual**2))), 1e-12)
     group = undivided(q)
     if group.max() + 1 < 2 * network.folds:
-        none = _rms_length(residual)
+        none = rms_length(residual)
         return Training(None, shapes[0], shapes[0].result(used=False, left_out_rms_m=none, without_rms_m=none))
     fold = folds_of(group, network.folds, np.random.default_rng([seed, 0xF01D])) if fold is None else fold
     outputs = {False: residual / scale, True: rotate_about_z(residual / scale, -q[:, 0])}
@@ -265,10 +265,6 @@ def train_network(
     used = left_out < WORTH * without and standard_errors(of_none - squares, group) > 1.0
     result = shape.result(used=used, left_out_rms_m=left_out * scale, without_rms_m=without * scale)
     return Training(found if used else None, shape, result)
-
-
-def _rms_length(residual: Array) -> float:
-    return float(np.sqrt(np.mean(np.sum(residual**2, axis=1))))
 
 
 def standard_errors(gain: Array, group: Groups) -> float:
@@ -538,7 +534,7 @@ def _better(
     if not used:
         return replace(committee, result=result)
     of_network = {"inputs": of_all.inputs, "hidden": HIDDEN, "left_out_rms_mm": own * 1e3}
-    result = result.model_copy(update={"used": True, "without_rms_mm": _rms_length(residual) * 1e3, **of_network})
+    result = result.model_copy(update={"used": True, "without_rms_mm": rms_length(residual) * 1e3, **of_network})
     return replace(committee, network=of_all, result=result)
 
 

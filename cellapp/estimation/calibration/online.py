@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.identification import Identification, identify, start_from_nominal
-from cellapp.estimation.calibration.least_squares import MEDIAN_NORM, excess_variance
+from cellapp.estimation.calibration.least_squares import excess_variance, usual_scatter
 from cellapp.estimation.calibration.normal_equations import EffectColumns, Observations, linearise
 from cellapp.estimation.calibration.parameters import estimated_parameters, gram_matrix, weak_priors
 from cellapp.ground.errors import InputError
@@ -62,7 +62,7 @@ _LEAST_VARIANCE = 1e-14
 """Least variance, (0.1 um)^2, for points without stated noise that fit exactly: it keeps weights finite."""
 _ANCHOR = 4.0
 """Prior degrees of freedom that hold the scatter at the expected one while there are few readings."""
-_GROSS = 12.0
+GROSS = 12.0
 """Residual beyond which a reading is left out, in standard uncertainties: far above that of unmodelled physics."""
 _COMPLIANCE_SD = 5e-5
 """Prior standard deviation of a joint's compliance about zero [rad/Nm]: gears of such arms have 1e4 to 1e5 Nm/rad."""
@@ -342,7 +342,7 @@ class OnlineFit:
 def _gross(residuals_M: Array, stated: Array, excess: float) -> NDArray[np.bool_]:
     """Return a mask (n,) of the readings whose residual (n, 3) [m] is far above that of most others."""
     norm = np.sqrt(np.sum(residuals_M**2, axis=1) / (excess + np.trace(stated, axis1=1, axis2=2) / 3.0))
-    return np.asarray(norm > _GROSS * max(float(np.median(norm)) / MEDIAN_NORM, 1.0))
+    return np.asarray(norm > GROSS * usual_scatter(norm, 1.0))
 
 
 def _excess_of(found: Identification, stated: Array) -> float:

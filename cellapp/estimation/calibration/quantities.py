@@ -25,7 +25,7 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import ErrorSummary, StageErrors
 from cellapp.robot.effects import MeasurementConditions, TemperatureRecord
-from cellapp.robot.kinematics.chain import Geometry, flange_poses
+from cellapp.robot.kinematics.chain import Geometry, flange_poses, smr_positions
 from cellapp.robot.kinematics.statics import base_moment
 from cellapp.robot.kinematics.transforms import (
     Array,
@@ -123,6 +123,10 @@ class Quantities:
     def residuals(self, model: ArmModel) -> Array:
         """Return measured less predicted positions (m, 3) [m], and rotations from computed to measured [rad]."""
         return np.asarray(self.readings.p_M - self.predicted(model))
+
+    def off(self, geometry: Geometry) -> Array:
+        """Return the same by a geometry alone."""
+        return np.asarray(self.readings.p_M - smr_positions(geometry, self.readings.q, self.R_M_S))
 
     def readings_with(self, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return a mask (n,) of the readings that have at least one of the ``chosen`` (m,) vectors."""

@@ -34,6 +34,7 @@ from cellapp.robot.kinematics.transforms import (
     apply,
     invert,
     register,
+    rms_length,
     rotation_from_vector,
     rotation_vectors,
     transform,
@@ -114,7 +115,7 @@ class StationFit:
     @property
     def rms_m(self) -> float:
         """Root mean square length of the residuals [m]."""
-        return float(np.sqrt(np.mean(np.sum(np.concatenate(list(self.residuals.values())) ** 2, axis=1))))
+        return rms_length(np.concatenate(list(self.residuals.values())))
 
 
 def predicted_points(model: CellModel, points: Points) -> dict[str, Array]:
@@ -541,7 +542,7 @@ def explained(nominal: Geometry, q: Array, p_M: Array) -> Explained:
     """Compute how well a chain with free base and tool explains points ``p_M`` (n, 3) [m] at ``q`` (n, N) [rad]."""
     q, p_M = _some(q), _some(p_M)
     rotations, origins = flange_poses(nominal, q)
-    spread = float(np.sqrt(np.mean(np.sum((p_M - p_M.mean(axis=0)) ** 2, axis=1))))
+    spread = rms_length(p_M - p_M.mean(axis=0))
     tool = np.zeros(3)
     rest = np.empty_like(p_M)
     for _ in range(_ROUNDS):
@@ -551,7 +552,7 @@ def explained(nominal: Geometry, q: Array, p_M: Array) -> Explained:
         wanted = (p_M - origins @ R_M_B.T).reshape(-1)
         solution = np.linalg.lstsq(columns, wanted, rcond=None)[0]
         tool, rest = solution[:3], (wanted - columns @ solution).reshape(-1, 3)
-    return Explained(float(np.sqrt(np.mean(np.sum(rest**2, axis=1)))), spread)
+    return Explained(rms_length(rest), spread)
 
 
 def better_reading(nominal: Geometry, q: Array, p_M: Array) -> tuple[str, Explained] | None:

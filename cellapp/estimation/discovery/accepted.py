@@ -42,7 +42,7 @@ from cellapp.robot.effects import (
 from cellapp.robot.effects.data_driven import FIELD_LENGTH, ActedOn, Quantity, Variable, data_driven_form
 from cellapp.robot.effects.effect import is_borrowed, is_contradiction, is_unnamed
 from cellapp.robot.effects.unknown import acted_directions
-from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.kinematics.transforms import Array, rms_length
 from cellapp.robot.model import ArmModel
 
 
@@ -160,16 +160,16 @@ def term_movements(fit: JointFit, number: int) -> tuple[PlaceMovement, ...]:
         here = [k for k, column in enumerate(columns) if column.where == where]
         names = tuple(columns[k].name for k in here if k < named)
         found.append(
-            PlaceMovement(where=where, parameters=names, moves_mm=1e3 * rms_length(fit, signals[here].sum(axis=0)))
+            PlaceMovement(where=where, parameters=names, moves_mm=1e3 * rms_of_whitened(fit, signals[here].sum(axis=0)))
         )
     return tuple(sorted(found, key=lambda place: -place.moves_mm))
 
 
-def rms_length(fit: JointFit, whitened: Array) -> float:
+def rms_of_whitened(fit: JointFit, whitened: Array) -> float:
     """Return the rms length [m] of whitened displacements (3 n,) over those readings of a fit that are positions."""
     here = fit.identification.positions
     moved = np.linalg.solve(fit.white.transpose(2, 0, 1)[here], whitened.reshape(3, -1).T[here, :, None])[..., 0]
-    return float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))
+    return rms_length(np.asarray(moved, dtype=np.float64))
 
 
 # -- Description of a data-driven term: place, variables, and a short formula if one fits as well -------------------
@@ -220,7 +220,7 @@ def _visible_rms(fit: JointFit, number: int) -> float:
     That part is arbitrary: for instance a shift of the base pose cancels a constant in a slow drift.
     """
     visible = fit.residual_without(number).projector.project(fit.signal(number))
-    return rms_length(fit, visible)
+    return rms_of_whitened(fit, visible)
 
 
 def _formula(

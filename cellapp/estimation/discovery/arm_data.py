@@ -349,10 +349,7 @@ class ArmData(Quantities):
         readings, stated = its.readings, its.stated
         found, excess_m = identify_with_excess(
             model.nominal,
-            readings.q,
-            readings.p_M,
-            R_M_S=its.R_M_S,
-            sigma=stated,
+            its,
             parameter_set=settings.parameter_set,
             prior_sigma=prior_sigmas(model.nominal, settings.priors) if prior_sigma is None else prior_sigma,
             tolerance=TOLERANCE,

@@ -36,7 +36,7 @@ Alternatives that tie share the probability.
 
 The library may also lack the cause, and a name stand in for it. Before a search the odds of that are 1 to 9. A law that
 is right leaves little of what it removes. Let w = residual / (residual + removed) be the share of sums of squares,
-where left is what remains beyond the stated noise; its density is (k + 1)(1 - w)^k with k = 5. A law that stands in for
+and residual what remains beyond the stated noise; its density is (k + 1)(1 - w)^k with k = 5. A law that stands in for
 something else leaves any share: w is uniform. So each named effect has a set in which another cause is in its place,
 with
 

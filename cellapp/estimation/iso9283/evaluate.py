@@ -43,12 +43,11 @@ from cellapp.estimation.iso9283.records import (
     PathVelocity,
     PoseCharacteristics,
 )
+from cellapp.estimation.uncertainty.budget import COVERAGE
 from cellapp.robot.kinematics.transforms import Array, quaternions_of, rotation_vectors, rotations_of, xyz_of
 from cellapp.robot.paths.cartesian import CartesianPath
 
 _MINUTE_S = 60.0
-_COVERAGE = 2.0
-"""Coverage factor of expanded uncertainties."""
 
 
 @dataclass(frozen=True)
@@ -260,12 +259,12 @@ def orientation_characteristics(
     off = rotation_vectors(rotations_of(attained) @ commanded_M.T) @ base_M
     scatter = off.std(axis=0, ddof=1)
     largest = float(scatter.max())
-    accuracy = math.hypot(coverage_of_mean(n) * largest, _COVERAGE * float(np.mean(sigma_rad)))
+    accuracy = math.hypot(coverage_of_mean(n) * largest, COVERAGE * float(np.mean(sigma_rad)))
     return OrientationCharacteristics(
         accuracy_mrad=xyz_of(1e3 * off.mean(axis=0)),
         accuracy_expanded_mrad=1e3 * accuracy,
         repeatability_mrad=xyz_of(3e3 * scatter),
-        repeatability_expanded_mrad=_COVERAGE * 3e3 * largest / math.sqrt(2.0 * (n - 1)),
+        repeatability_expanded_mrad=COVERAGE * 3e3 * largest / math.sqrt(2.0 * (n - 1)),
         n=n,
     )
 

@@ -23,7 +23,7 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import EFFECTS, EffectTerm, InputVariable, MeasurementConditions
 from cellapp.robot.kinematics.chain import all_names
-from cellapp.robot.kinematics.transforms import Array, apply
+from cellapp.robot.kinematics.transforms import Array, apply, rms_length
 from cellapp.robot.model import ArmModel, CellModel
 from cellapp.robot.model.model import relocated
 
@@ -45,8 +45,6 @@ VISIBLE = 2.0
 """Least motion of the SMR by a visible change, in standard deviations of a measured coordinate."""
 MOST_STEPS = 20.0
 """Size of a visible change at most, in least changes: 1 mm; what would have to be larger is not seen."""
-TRACKER = "tracker"
-"""Name that takes the place of an arm's if the tracker moved."""
 
 ChangeKind = Literal["tracker", "base", "smr", "parameter", "effect"]
 
@@ -304,7 +302,7 @@ def _day_m(model: ArmModel, measured: Quantities) -> float:
     if len(rest.effects) == len(model.effects):
         return 0.0
     moved = measured.predicted(model) - measured.predicted(rest)
-    return float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))
+    return rms_length(moved)
 
 
 def _is_of_day(term: EffectTerm) -> bool:

@@ -21,7 +21,7 @@ from cellapp.estimation.calibration.least_squares import LeastSquares
 from cellapp.estimation.calibration.station_location import FEWEST_POINTS, small_motion
 from cellapp.estimation.monitoring.belief import FALSE_ALARM, CheckBelief
 from cellapp.estimation.monitoring.linear import Alternative, Changing, Moments, StopRows, centre_of, spanned, twists
-from cellapp.estimation.prior.update import SURE
+from cellapp.estimation.prior.update import ALIKE, SURE
 from cellapp.robot.kinematics.transforms import Array, apply, invert, register, rotation_vectors
 
 # -- Statistics of the check: one test, after every stop and after the last one ---------------------------------------
@@ -165,8 +165,6 @@ def solved(moments: Moments, members: Sequence[int]) -> tuple[Array, Array]:
 
 _MOST_CHANGES = 4
 """Most changes that are named: more at once mean a new arm, which twenty stops cannot describe."""
-_ALIKE = 3.0
-"""Half difference of chi-squared within which another change explains the stops about as well: a factor of 20."""
 _INSEPARABLE = 0.05
 """Least share of a change's motion that an alternative must leave unexplained for more stops to distinguish them: with
 a twentieth, a hundred times as many stops would be needed."""
@@ -303,7 +301,7 @@ def _confounded(
         if one is not chosen
     ]
     return (
-        tuple(design.name_of(one) for by, one in behind if by <= _ALIKE),
+        tuple(design.name_of(one) for by, one in behind if by <= ALIKE),
         tuple(design.name_of(one) for by, one in behind if by <= SURE and _tells(design, chosen, sizes, one)),
     )
 

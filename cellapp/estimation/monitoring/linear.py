@@ -27,13 +27,13 @@ from cellapp.estimation.discovery.prior_fit import design, term_columns
 from cellapp.estimation.monitoring.belief import (
     LENGTH_M,
     ROTATION_RAD,
-    TRACKER,
     ArmBelief,
     ChangeKind,
     CheckBelief,
     measured_vectors,
     noise_covariance,
 )
+from cellapp.estimation.monitoring.records import TRACKER
 from cellapp.estimation.prior.belief import is_own, is_smooth
 from cellapp.estimation.prior.update import change_names
 from cellapp.estimation.readings import Readings

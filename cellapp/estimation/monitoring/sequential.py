@@ -41,7 +41,7 @@ from cellapp.estimation.monitoring.records import CheckedArm, CheckResult, Check
 from cellapp.estimation.readings import Readings, joined
 from cellapp.ground.counting import counted, plain
 from cellapp.ground.errors import InputError
-from cellapp.robot.kinematics.transforms import Array, apply, rotation_vectors, rows_of, xyz_of
+from cellapp.robot.kinematics.transforms import Array, apply, rms_length, rotation_vectors, rows_of, xyz_of
 
 # -- Choose stops that show every visible change ----------------------------------------------------------------------
 #
@@ -260,7 +260,7 @@ def _rotation_mrad(design: Design, cause: Cause) -> float | None:
     if cause.motion is not None:
         return float(np.linalg.norm(rotation_vectors(cause.motion[None, :3, :3])[0])) * 1e3
     rotations = np.tensordot(cause.sizes, design.motions[one.arm][list(one.members), len(arm.positions) :], axes=1)
-    return math.sqrt(float(np.mean(np.sum(rotations**2, axis=1)))) * 1e3
+    return rms_length(rotations) * 1e3
 
 
 def _checked(design: Design, stops: StopRows, causes: Sequence[Cause], explained: bool) -> dict[str, CheckedArm]:

@@ -43,6 +43,7 @@ from cellapp.estimation.calibration.least_squares import (
     robust_weights,
     shortened,
     solve_psd,
+    usual_scatter,
 )
 from cellapp.estimation.motion.laws import JointLaw, JointTerm, line, of_all_joints
 from cellapp.estimation.motion.residuals import (
@@ -299,7 +300,7 @@ def _without_gross_errors(
     """Return the sources of these rows without gross errors."""
     (norms, usual), found = _norms(problem, values, rows), []
     for number, (norm, its) in enumerate(zip(norms, rows, strict=True)):
-        scale: float | Array = max(float(np.median(norm)) / MEDIAN_NORM, _TRACKER_M)
+        scale: float | Array = usual_scatter(norm, _TRACKER_M)
         if number < len(problem.tracks):
             nearby = _nearby(problem.tracks[number].learnt_s, norm)
             scale = np.maximum(scale, np.maximum(nearby, usual) / MEDIAN_NORM)
@@ -322,7 +323,7 @@ def _nearby(seconds: float, norm: Array) -> Array:
 
 def _source(rows: NDArray[np.intp], norm: Array, stated: Array | None) -> Source:
     """Build a source; its variance follows from the median of the residuals' norms (n,) [m]."""
-    sigma, squares = max(float(np.median(norm)) / MEDIAN_NORM, _TRACKER_M), np.ones(len(rows))
+    sigma, squares = usual_scatter(norm, _TRACKER_M), np.ones(len(rows))
     if stated is not None and np.isfinite(stated[rows]).all() and (stated[rows] > 0.0).all():
         squares = stated[rows] ** 2
         squares = squares + max(sigma**2 - float(np.median(squares)), 0.0)

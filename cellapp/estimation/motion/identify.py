@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.identification import Identification, start_from_nominal
-from cellapp.estimation.calibration.least_squares import MEDIAN_NORM
+from cellapp.estimation.calibration.least_squares import usual_scatter
 from cellapp.estimation.calibration.parameters import (
     SetName,
     determined_set,
@@ -223,8 +223,7 @@ def _held_out(problem: MotionProblem, solution: Solution, number: int) -> tuple[
 
 def no_gross_errors(misses: Array, sigma_m: float) -> NDArray[np.bool_]:
     """Return a mask of the points that are no gross errors, by distances (n,) [m] and the training scatter."""
-    usual = float(np.median(misses)) / MEDIAN_NORM if len(misses) else 0.0
-    return np.asarray(misses < GROSS * max(sigma_m, usual))
+    return np.asarray(misses < GROSS * usual_scatter(misses, sigma_m))
 
 
 def _recording_fit(problem: MotionProblem, solution: Solution, number: int) -> RecordingFit:

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.estimation.calibration.parameters import candidate_columns, typical_spreads
+from cellapp.estimation.calibration.parameters import PriorSpread, candidate_columns, typical_spreads
 from cellapp.estimation.calibration.quantities import Quantities
 from cellapp.estimation.calibration.records import SignaturePart
 from cellapp.estimation.discovery.prior_fit import Posterior, Prior, term_columns, values_of
@@ -25,8 +25,6 @@ from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
 from cellapp.robot.model.nominal import prior_sigmas
 
-_TYPICAL_COUNT = 2.0
-"""Number of parameters of typical size added to those of the arm in the estimate of their spread."""
 _LEAST_SD = 1e-12
 """Least standard deviation, which keeps a precision finite [m, rad or the effect's unit]."""
 _RIDGE = 1e-8
@@ -194,6 +192,5 @@ def geometry_sizes(profile: Profile, model: ArmModel, columns: tuple[int, ...]) 
     for unit_size in set(typical.values()):
         places = [k for k, name in enumerate(names) if typical.get(name) == unit_size and name not in stated]
         if places:
-            square = float(np.sum(deviation[places] ** 2)) + _TYPICAL_COUNT * unit_size**2
-            found[places] = math.sqrt(square / (len(places) + _TYPICAL_COUNT))
+            found[places] = math.sqrt(PriorSpread(np.array(places), unit_size).square(deviation[places], 0.0))
     return found

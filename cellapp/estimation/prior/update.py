@@ -215,7 +215,7 @@ class NewEvidence:
 SURE = 5.0
 """Gain of the log likelihood that a change needs beyond the log of the number of candidates: twice of it is very strong
 evidence (Kass, Raftery, J. Am. Stat. Ass. 90 (1995) 773)."""
-_ALIKE = 3.0
+ALIKE = 3.0
 """Difference of gains within which another change counts as equally good: a Bayes factor of 20."""
 _GONE = 2.0
 """Standard errors within which the new value of an effect counts as zero."""
@@ -283,7 +283,7 @@ def change_of(
 
 def alike(all_candidates: Sequence[Candidate], found: Sequence[UpdateFit], best: int) -> list[str]:
     """Return the candidates that explain the readings about as well as the best one."""
-    limit = found[best].gain - _ALIKE
+    limit = found[best].gain - ALIKE
     return [
         one.what
         for number, (one, its) in enumerate(zip(all_candidates, found, strict=True))

@@ -242,7 +242,7 @@ def coordinate_uncertainty(readings: Readings) -> Array | None:
 # covariances: a rotation is several times less certain about the beam than across it. The correlation of p and R is
 # neglected.
 
-_SAME_STOP_RAD = 1e-3
+SAME_STOP_RAD = 1e-3
 """Largest difference of joint positions within one stop: encoders read 0.04 mrad more or less."""
 _ROUNDS = 200
 """Most rounds of registration and averaging; few are enough, as the first figure is within the noise already."""
@@ -337,7 +337,7 @@ def one_pose_a_stop(readings: Readings) -> tuple[Readings, str, list[tuple[int, 
 def _not_one_stop(rows: Readings, first: NDArray[np.intp]) -> Iterator[tuple[int, str, str]]:
     """Yield rows whose joints or split differ from those of the ``first`` (n,) row of their stop, one of each kind."""
     apart = np.abs(rows.q - rows.q[first])
-    for row in np.flatnonzero(apart.max(axis=1) > _SAME_STOP_RAD)[:1].tolist():
+    for row in np.flatnonzero(apart.max(axis=1) > SAME_STOP_RAD)[:1].tolist():
         joint = int(np.argmax(apart[row]))
         text = f"{apart[row, joint]:.4f} rad from another row of the stop; the arm must rest until all are measured"
         yield row, f"q{joint + 1}", text

@@ -31,6 +31,7 @@ from cellapp.ground.profile.schema import ArmType, PermissibleError
 from cellapp.ground.profile.sections import MPE_SHARE, MpeRule
 from cellapp.ground.results import DecisionRule
 from cellapp.robot.effects import EFFECTS
+from cellapp.robot.effects.thermal import ALUMINIUM
 from cellapp.robot.kinematics.transforms import Array
 
 COVERAGE = 2.0
@@ -38,8 +39,6 @@ COVERAGE = 2.0
 AIR_PER_KELVIN = 1e-6
 """Change of a measured range with the air temperature [1/K]: the refractive index of air falls by 0.93e-6 per kelvin at
 20 degC, 1013 hPa (Ciddor, Applied Optics 35 (1996) 1566)."""
-ALUMINIUM = 23e-6
-"""Thermal expansion [1/K] of the links of most arms; magnesium and steel are at 26e-6 and 12e-6."""
 
 MPE_WORDS: Mapping[MpeRule, str] = {
     "rectangular": "divided by the square root of 3 (rectangular: any error up to it is as likely)",
@@ -335,16 +334,17 @@ def measured_conditions(readings: Mapping[str, Readings]) -> dict[str, MeasuredC
     return {
         name: MeasuredConditions(
             readings=len(its),
-            distance_m=_range(np.linalg.norm(its.p_M, axis=1)),
-            air_c=_range(its.temperature_c),
-            joints_c=_range(its.joint_temperature_c),
-            payload_kg=_range(its.payload_kg),
+            distance_m=range_of(np.linalg.norm(its.p_M, axis=1)),
+            air_c=range_of(its.temperature_c),
+            joints_c=range_of(its.joint_temperature_c),
+            payload_kg=range_of(its.payload_kg),
         )
         for name, its in readings.items()
     }
 
 
-def _range(values: NDArray[np.float64] | None) -> Range | None:
+def range_of(values: NDArray[np.float64] | None) -> Range | None:
+    """Return the smallest and the largest of the known values; None if none is known."""
     known = np.empty(0) if values is None else values[np.isfinite(values)]
     return (float(known.min()), float(known.max())) if len(known) else None
 

@@ -4,7 +4,6 @@ from cellapp.ground.profile.schema import (
     SAME_PAYLOAD_KG,
     Arm,
     CellKind,
-    CellPoint,
     DiscoverySettings,
     Network,
     Pose,
@@ -13,6 +12,7 @@ from cellapp.ground.profile.schema import (
     Sensors,
     Splits,
 )
+from cellapp.ground.profile.sections import CellPoint
 
 __all__ = [
     "SAME_PAYLOAD_KG",

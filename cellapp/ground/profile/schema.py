@@ -16,6 +16,7 @@ from cellapp.ground.counting import did_you_mean
 from cellapp.ground.network_kind import NetworkKind
 from cellapp.ground.profile.sections import (
     ArmPoint,
+    CellPoint,
     Collection,
     ControllerTable,
     GrownSection,
@@ -53,7 +54,6 @@ VERSION = 1
 CellKind = Literal["simulated", "emulated", "real", "none"]
 """What moves in a cell: simulated arms, controllers emulated on this computer, real arms, or nothing (imported)."""
 
-CellPoint = tuple[CellLength, CellLength, CellLength]
 
 _ROUNDING_RAD = 1e-9
 """Conversion of the same angle from degrees in two files."""

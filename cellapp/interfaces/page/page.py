@@ -27,7 +27,7 @@ from cellapp.commands.report.summary import (
     steps,
     verdict,
 )
-from cellapp.commands.stages import data_mark
+from cellapp.commands.run_state import RunState
 from cellapp.commands.view.charts import Chart
 from cellapp.commands.view.parts import Facts, Section
 from cellapp.commands.view.table import Table
@@ -95,11 +95,12 @@ def write_page(run: RunFile) -> Path:
 
 def page_text(run: RunFile, written: datetime) -> str:
     """Return the page as text. Raises ``InputError`` if the run is not calibrated yet."""
-    data = read_report_data(run)
+    state = RunState(run)
+    data = read_report_data(state)
     return template("page.html").render(
         profile=data.profile,
         written=written.isoformat(timespec="seconds"),
-        data_mark=data_mark(run),
+        data_mark=state.data_mark,
         simulated=" (simulated cell)" if data.profile.is_simulated else "",
         header_facts=header_facts(data),
         alarms=out_of_date_lines(data),

@@ -19,8 +19,9 @@ from numpy.typing import ArrayLike
 
 from cellapp.cell.run import RunFile
 from cellapp.commands.calibrate.view import calibration_tables
-from cellapp.commands.run_results import RunResults, read_results
-from cellapp.commands.stages import not_calibrated, read_stages
+from cellapp.commands.run_results import RunResults
+from cellapp.commands.run_state import RunState
+from cellapp.commands.stages import not_calibrated
 from cellapp.commands.stored_model import model_of
 from cellapp.commands.view.parts import Parts
 from cellapp.estimation.calibration.quantities import measured_minus_computed
@@ -148,12 +149,13 @@ def open_run(folder: Path | str) -> Run:
         If there is none in ``folder``, or it is damaged.
     """
     with RunFile.open(Path(folder)) as run:
-        stages = read_stages(run)
+        state = RunState(run)
+        stages = state.stages
         return Run(
             folder=run.folder,
             profile=run.profile,
             measured={arm: run.readings(arm) for arm in run.arms()},
-            results=read_results(run, stages),
+            results=state.results,
             model=None if stages.in_force is None else model_of(run, stages.in_force),
             models={name: stage.model for name, stage in stages.current.items() if stage.model is not None},
         )

@@ -42,6 +42,7 @@ from cellapp.commands.registry import ALL
 from cellapp.interfaces.tui import terminal
 from cellapp.interfaces.tui import verb_jobs as jobs_of_verbs
 from cellapp.interfaces.tui.confirmations import QuitQuestion, offer_at_rest, offer_to_quit, offer_whole_day
+from cellapp.interfaces.tui.day_state import next_step
 from cellapp.interfaces.tui.dialogs.program import MotionQuestion, Palette, possible_commands
 from cellapp.interfaces.tui.dialogs.question import Reading
 from cellapp.interfaces.tui.host import Host, Severity, StopGiven
@@ -50,7 +51,6 @@ from cellapp.interfaces.tui.jobs import Job, JobRunner
 from cellapp.interfaces.tui.keys import bind, key_table, with_keys
 from cellapp.interfaces.tui.leaving import ENDED, LEFT, Leaving
 from cellapp.interfaces.tui.live_run import LOOK_EVERY_S, Detached, JobsOfOthers
-from cellapp.interfaces.tui.run_state import next_step
 from cellapp.interfaces.tui.screens import SCREENS
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.terminal import driver_that_stops

@@ -17,10 +17,10 @@ from textual.message import Message
 from textual.screen import ModalScreen
 
 from cellapp.commands.docs.keys import Step
+from cellapp.interfaces.tui.day_state import DayState, day_state
 from cellapp.interfaces.tui.job_record import JobRecord
 from cellapp.interfaces.tui.jobs import Job, JobRunner
 from cellapp.interfaces.tui.leaving import Leaving
-from cellapp.interfaces.tui.run_state import RunState, run_state
 from cellapp.interfaces.tui.workspace import Workspace
 
 if TYPE_CHECKING:
@@ -73,14 +73,14 @@ class Host(App[None]):
         self.shows_result: ShowsResult | None = None
         self.last_run: Path | None = None
         self.waits = self.reading = ""
-        self._state: tuple[tuple[object, ...], RunState] | None = None
+        self._state: tuple[tuple[object, ...], DayState] | None = None
 
     @property
-    def state(self) -> RunState:
+    def state(self) -> DayState:
         """The only state of the open run and the job; derived once for each change of its inputs."""
         known = (self.workspace, self.record.changes, self.jobs.job, self.waits, self.reading)
         if self._state is None or any(one is not other for one, other in zip(known, self._state[0], strict=True)):
-            self._state = known, run_state(self.workspace, self.record, self.jobs.job, self.waits, self.reading)
+            self._state = known, day_state(self.workspace, self.record, self.jobs.job, self.waits, self.reading)
         return self._state[1]
 
     def start_job(self, job: Job, cell: Workspace | None = None, shows_result: ShowsResult | None = None) -> bool:

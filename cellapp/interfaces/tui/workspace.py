@@ -16,13 +16,13 @@ from cellapp.ground.job_client import JOB_FILE, who_uses
 
 if TYPE_CHECKING:
     from cellapp.cell.planning.planned_stops import PlannedStops
-    from cellapp.cell.run import RunFile
     from cellapp.cell.run.sqlite_file import Event
     from cellapp.commands.collect.result import CollectionResult
     from cellapp.commands.next_step import Conclusion
     from cellapp.commands.plan.result import StopsResult
     from cellapp.commands.report.data import ReportData
     from cellapp.commands.run_results import RunResults
+    from cellapp.commands.run_state import RunState
     from cellapp.commands.show.result import OverviewResult
     from cellapp.commands.view.parts import Parts
     from cellapp.commands.view.words import Verdict
@@ -174,42 +174,43 @@ def _with_run(profile_path: Path | None, profile: Profile | None, folder: Path) 
     from cellapp.cell.run import RunFile
     from cellapp.cell.run.sqlite_file import FILE_NAME, REPORT_FILE
     from cellapp.commands.collect.state import collection_state
-    from cellapp.commands.next_step import conformity, stage_conclusions
+    from cellapp.commands.next_step import stage_conclusions
     from cellapp.commands.plan.run import planned_stops
     from cellapp.commands.report.summary import read_verdict
-    from cellapp.commands.run_results import read_results
+    from cellapp.commands.run_state import RunState
     from cellapp.commands.show.overview import run_log, run_overview
 
     with RunFile.open(folder) as run:
-        results = read_results(run)
+        state = RunState(run)
+        data = _report_data(state)
         return Workspace(
             profile_path,
             run.profile,
             folder,
-            run_overview(run),
-            results,
-            collection_state(run, results),
+            run_overview(state),
+            state.results,
+            collection_state(run, state.results),
             planned_stops(run),
             read_planned_stops(run),
             edited=profile is not None and profile.name == run.profile.name and profile != run.profile,
             in_use=who_uses(folder),
             beside_run=profile,
-            conclusions=stage_conclusions(results),
-            conformity=conformity(run, results),
-            verdict=read_verdict(run, datetime.now(UTC).date()),
-            data=_report_data(run),
+            conclusions=stage_conclusions(state.results),
+            conformity=state.conformity,
+            verdict=read_verdict(state, data, datetime.now(UTC).date()),
+            data=data,
             log=run_log(run).lines,
             reported=(folder / REPORT_FILE).exists(),
             read_only=not all(os.access(path, os.W_OK) for path in (folder, folder / FILE_NAME)),
         )
 
 
-def _report_data(run: RunFile) -> ReportData | None:
+def _report_data(state: RunState) -> ReportData | None:
     """Return the data for plots of a run; None if it is not calibrated."""
     from cellapp.commands.report.data import read_report_data
 
     try:
-        data = read_report_data(run)
+        data = read_report_data(state)
     except InputError:
         return None  # the screen says what is missing
     for arm in data.held_out.values():

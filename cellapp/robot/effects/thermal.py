@@ -43,8 +43,8 @@ LAGS = (150.0, 400.0, 900.0, 2000.0, 4500.0)
 """Lags of links behind their joints to try [s]: conduction along tubes of this size takes minutes to an hour."""
 _MOST_GROWTH = 4e-5
 """No metal of which arms are made grows more [1/K]: aluminium 23e-6, magnesium 26e-6."""
-_ALUMINIUM = 23e-6
-"""Expansion of aluminium [1/K]."""
+ALUMINIUM = 23e-6
+"""Thermal expansion [1/K] of the links of most arms; magnesium and steel are at 26e-6 and 12e-6."""
 _MOST_STRAIN = 2e-3
 """Bound of the whole strain of a warm-up [m/m]: aluminium over 90 K."""
 _MOST_HOUSING = 2e-5
@@ -122,7 +122,7 @@ class ThermalGrowth(Effect):
         sign="links that shrink as they warm up",
         sign_check="check which temperatures the readings state",
         limit="the expansion of aluminium",
-        limit_size=_ALUMINIUM,
+        limit_size=ALUMINIUM,
         size_check="check the unit of the temperatures and where they were taken",
     )
     variables = _OF_AIR | _OF_JOINTS | _OF_TIME | {InputVariable.JOINT_ANGLE}

@@ -151,6 +151,11 @@ def apply(T_A_B: Array, p_B: Array) -> Array:
     return result
 
 
+def rms_length(vectors: Array) -> float:
+    """Return the root mean square length of vectors (n, 3)."""
+    return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1))))
+
+
 def angular_rows(R_M_S: Array | None) -> NDArray[np.bool_] | None:
     """Return the mask (n,) of rows with a measured orientation (n, 3, 3), not NaN; None if ``R_M_S`` is None."""
     return None if R_M_S is None else np.asarray(np.isfinite(R_M_S[:, 0, 0]))

@@ -22,11 +22,12 @@ from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.safety.gate import refuse_motion
 from cellapp.cell.targets.targets import load_targets
 from cellapp.commands.check.locate import typed_pose
-from cellapp.commands.check.station import excess_of_readings
 from cellapp.commands.check.view import location_sentences, location_tables
 from cellapp.commands.run_results import read_results
+from cellapp.commands.run_state import RunState
 from cellapp.commands.show.overview import run_overview
 from cellapp.commands.stages import CALIBRATION_FILE, read_stages
+from cellapp.commands.station import excess_of_readings
 from cellapp.commands.stored_model import model_of, stage_in_force
 from cellapp.estimation.monitoring.belief import SequentialState
 from cellapp.estimation.monitoring.records import LocateResult
@@ -77,7 +78,7 @@ def task(finished_run: Path) -> Task:
         model = model_of(run, stage_in_force(run, read_stages(run)))
         candidates = check_candidates(run.profile, model, {name: run.readings(name) for name in run.profile.arms})
         stops = [{name: its.take([row]) for name, its in candidates.items()} for row in range(0, 60, 10)]
-        return Task(run.profile, model, stops, excess_of_readings(run, model))
+        return Task(run.profile, model, stops, excess_of_readings(RunState(run), model))
 
 
 def driven(
@@ -252,7 +253,7 @@ def test_targets_are_met_from_the_new_station_as_before(moved_run: tuple[RunFile
     assert stages.in_force == stages.current[LOCATE]
     basis = sure(stages.current[VERIFY].basis)
     assert list(basis.stages) == [LOCATE]
-    assert run_overview(run).next_verb == "report"
+    assert run_overview(RunState(run)).next_verb == "report"
     assert "Station of the tracker" in Path(report_run(run, write_page).page).read_text("utf-8")
 
 

@@ -28,6 +28,7 @@ from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.commands.report.data import read_report_data
 from cellapp.commands.report.sections import controllers_section
+from cellapp.commands.run_state import RunState
 from cellapp.commands.view.table import Table
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile.schema import FactoryErrors
@@ -244,7 +245,7 @@ def test_waypoints_of_another_controller_are_refused_by_name(cell: Cell, tmp_pat
 def test_the_report_compares_published_factory_and_identified_rows(folder: Path) -> None:
     with RunFile.open(folder) as run:
         assert all(one.dh_rows is not None for one in recorded_controllers(run).values())
-        section = controllers_section(run, read_report_data(run))
+        section = controllers_section(run, read_report_data(RunState(run)))
     table = sure(section).parts[0]
     assert isinstance(table, Table)
     mean = {(row[0], row[1]): row[2] for row in table.rows}

@@ -26,6 +26,7 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, 
 from cellapp.cell.run import Outcome, RunFile
 from cellapp.cell.run.run_arms import BY_PERSON, note_at_rest, note_halt, unseen_arms
 from cellapp.cell.run.sqlite_file import ReferenceRow
+from cellapp.commands.run_state import RunState
 from cellapp.commands.show.overview import run_overview
 from cellapp.commands.show.view import overview_sentences
 from cellapp.estimation.readings import Readings
@@ -358,7 +359,7 @@ def test_a_fault_survives_a_restart_and_other_arms(run: RunFile) -> None:
         assert {name: arm.reason for name, arm in unseen_arms(again).items()} == {"left": "arm left: link lost"}
         levels = [(event.level, event.text.split(",")[0]) for event in again.events()]
         assert ("error", "arm left: NOT SEEN AT REST") in levels
-        first = overview_sentences(run_overview(again))[0]
+        first = overview_sentences(run_overview(RunState(again)))[0]
     assert first.startswith("arm left: NOT SEEN AT REST since 2")
     assert f"cellapp job confirm-rest {run.folder} left" in first
 

@@ -23,6 +23,7 @@ from cellapp.commands.compensate.tables import measured_tables, predicted_tables
 from cellapp.commands.compensate.words import verify_lines
 from cellapp.commands.push.run import judge_of
 from cellapp.commands.run_results import read_results
+from cellapp.commands.run_state import RunState
 from cellapp.estimation.discovery.plan_forecast import nominal_model
 from cellapp.estimation.uncertainty.budget import Judge
 from cellapp.ground.control import JobControl
@@ -161,7 +162,7 @@ def test_tolerances_are_predicted_measured_and_complained_about(run: RunFile, mo
     assert wide.tolerance_mm == pytest.approx(2.0)
     said = [str(row[-1]).split(":")[0] for row in predicted_tables(predicted)[0].rows]
     assert said == ["in", "out", "out of reach"]
-    found = push(run.profile, model, commands, verify=True, judge=judge_of(run, run.profile))
+    found = push(run.profile, model, commands, verify=True, judge=judge_of(RunState(run), run.profile))
     assert [target.verdict for target in found.targets] == ["in", "not decided", "", ""], "guarded: U is some 40 um"
     assert 0.03 < sure(found.targets[1].expanded_mm) < 0.08
     unknown = push(run.profile, model, commands[:1], verify=True, judge=Judge(run.profile))
@@ -223,7 +224,7 @@ def pairs(run: RunFile, model: CellModel, stops: list[int]) -> list[Command]:
 def test_both_arms_are_measured_at_each_cooperative_target(
     run: RunFile, model: CellModel, stops: list[int], pairs: list[Command], cells: list[Any]
 ) -> None:
-    found = push(run.profile, model, pairs, verify=True, judge=judge_of(run, run.profile))
+    found = push(run.profile, model, pairs, verify=True, judge=judge_of(RunState(run), run.profile))
     assert [(target.name, target.arm, target.partner, target.note) for target in found.targets] == [
         (f"pair-{stop}", name, other, "") for stop in stops for name, other in (("left", "right"), ("right", "left"))
     ]

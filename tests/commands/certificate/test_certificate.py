@@ -10,9 +10,9 @@ import pytest
 
 from cellapp.cell.profile import load_profile
 from cellapp.cell.targets.records import CompensateResult, MeasuredRelative, TargetCommand, UnknownCondition
-from cellapp.commands.certificate.judgements import judge_characteristics, judge_run
 from cellapp.commands.certificate.statement import certificate_of, used_instruments
 from cellapp.commands.certificate_result import CertificateResult
+from cellapp.commands.judgements import judge_characteristics, judge_run
 from cellapp.commands.run_results import RunResults
 from cellapp.estimation.discovery.records import DiscoverResult, Noise
 from cellapp.estimation.iso9283.records import ArmIso9283, CommandedTests, IsoValue, PoseCharacteristics

@@ -16,7 +16,8 @@ from cellapp.cell.run import RunFile, write_readings_csv
 from cellapp.commands.certificate.run import PAGE_FILE, SUMS_FILE
 from cellapp.commands.certificate_result import CertificateResult
 from cellapp.commands.run_results import read_results
-from cellapp.commands.stages import CERTIFICATE_FILE, append_stage, complaints_of, read_stages
+from cellapp.commands.run_state import RunState
+from cellapp.commands.stages import CERTIFICATE_FILE, append_stage, read_stages
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import CERTIFICATE, VERIFY
@@ -95,7 +96,7 @@ def test_the_sums_are_of_the_certificate_and_of_all_that_it_rests_on(certified: 
     page = (certified / PAGE_FILE).read_text("utf-8")
     assert all(name in page and digest in page for name, digest in found.rests_on.items())
     with RunFile.open(certified) as run:
-        assert complaints_of(run) == []
+        assert RunState(run).complaints == []
         stages, profile = read_stages(run), run.profile_text
         write_readings_csv(run, tmp_path / "readings.csv")
     assert (certified / "certified/profile.json").read_text("utf-8") == profile
@@ -119,7 +120,7 @@ def test_a_changed_certificate_is_not_that_of_the_run(changeable: Path) -> None:
     path = changeable / CERTIFICATE_FILE
     path.write_text(path.read_text("utf-8").replace('"max": 0.', '"max": 0.0', 1), "utf-8")
     with RunFile.open(changeable) as run:
-        assert complaints_of(run) == [f"{CERTIFICATE_FILE} is not a certificate that the run stores"]
+        assert RunState(run).complaints == [f"{CERTIFICATE_FILE} is not a certificate that the run stores"]
 
 
 def test_a_verification_since_is_found(changeable: Path) -> None:
@@ -128,7 +129,7 @@ def test_a_verification_since_is_found(changeable: Path) -> None:
         again = verify.model_copy(update={"stopped": "by hand"})
         append_stage(run, VERIFY, again, read_stages(run).current[VERIFY].basis)
         assert read_stages(run).out_of_date[CERTIFICATE] == "targets were verified since"
-        assert "'certificate' is out of date (targets were verified since)" in complaints_of(run)
+        assert "'certificate' is out of date (targets were verified since)" in RunState(run).complaints
     assert changed_files(changeable) == []
 
 
@@ -198,12 +199,12 @@ def test_a_signed_certificate_is_never_replaced(changeable: Path, tmp_path: Path
             certificate_run(run, certificate_page)
         assert len(run.stage_rows()) == count
         certificate_run(run, certificate_page, out=tmp_path / "elsewhere", number="QA 2026/17")
-        assert complaints_of(run) == []
+        assert RunState(run).complaints == []
         verify = sure(read_results(run).verify)
         again = verify.model_copy(update={"stopped": "by hand"})
         append_stage(run, VERIFY, again, read_stages(run).current[VERIFY].basis)
         certificate_run(run, certificate_page, out=tmp_path / "again")
-        assert complaints_of(run) == [f"{CERTIFICATE_FILE} is an earlier certificate, of other data"]
+        assert RunState(run).complaints == [f"{CERTIFICATE_FILE} is an earlier certificate, of other data"]
     assert {path: path.read_bytes() for path in before} == before
     assert stored(tmp_path / "elsewhere").number == "QA 2026/17"
     assert changed_files(tmp_path / "elsewhere") == []

@@ -22,6 +22,7 @@ from cellapp.estimation.calibration.identification import (
 )
 from cellapp.estimation.calibration.least_squares import LeastSquares, Linearised, Minimum, minimise
 from cellapp.estimation.calibration.parameters import auto_set, candidate_columns, full_set, paper_set
+from cellapp.estimation.calibration.quantities import measured_quantities
 from cellapp.estimation.calibration.station_location import better_reading, explained
 from cellapp.ground.errors import CheckFailed, InputError, NotConverged, tried, with_not_fitted
 from cellapp.interfaces.python.cell import Cell
@@ -194,7 +195,7 @@ def test_scatter_beyond_the_stated_uncertainty_enters_the_weights():
     sigma = np.where(np.arange(300) % 2 == 0, 2e-6, 40e-6)
     start = start_from_nominal(nominal, q, p_M, tool_unknown=False)
     trusting = identify(start, q, p_M, sigma=sigma)
-    found, excess = identify_with_excess(start, q, p_M, sigma=sigma)
+    found, excess = identify_with_excess(start, measured_quantities(readings_at(q, p_M, sigma_m=sigma)))
     assert excess == pytest.approx(0.3e-3, rel=0.1)
     assert found.scale == pytest.approx(1.0, abs=0.02)
     assert found.iterations == len(found.steps) > trusting.iterations
@@ -203,7 +204,7 @@ def test_scatter_beyond_the_stated_uncertainty_enters_the_weights():
     # where the statement is right, nothing is added
     nominal, _, q, p_M = measured(UR10, OFF_AXIS, seed=18, n=300)
     start = start_from_nominal(nominal, q, p_M, tool_unknown=False)
-    assert identify_with_excess(start, q, p_M, sigma=np.full(300, SIGMA))[1] == 0.0
+    assert identify_with_excess(start, measured_quantities(readings_at(q, p_M, sigma_m=SIGMA)))[1] == 0.0
 
 
 def sixty_readings():
@@ -377,7 +378,7 @@ def test_of_two_minima_on_either_side_of_the_wrist_the_better_one_is_returned():
     truth = true_geometry(nominal, rng, 0.5e-3, 1e-3)
     p_M = smr_positions(truth, q + 0.5e-3 * np.sin(5.0 * q)) + rng.normal(0.0, 30e-6, (60, 3))
     plain = [identify(at_station(UR10, np.array([0.0, 0.0, z])), q, p_M) for z in (0.1, -0.3)]
-    both, _ = identify_with_excess(nominal, q, p_M, sigma=None)
+    both, _ = identify_with_excess(nominal, measured_quantities(readings_at(q, p_M)))
     assert all(found.converged for found in (both, *plain))
     assert abs(both.geometry.tool[2] - plain[0].geometry.tool[2]) > 0.05
     rms = [np.sqrt(np.mean(found.residuals**2)) for found in (both, *plain)]

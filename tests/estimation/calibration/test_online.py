@@ -9,13 +9,14 @@ import pytest
 
 from cellapp.estimation.calibration.identification import identify_with_excess, start_from_nominal
 from cellapp.estimation.calibration.online import OnlineFit
+from cellapp.estimation.calibration.quantities import measured_quantities
 from cellapp.ground.errors import InputError
 from cellapp.ground.progress import StopReport
 from cellapp.robot.kinematics.chain import JointAngles, jacobian, smr_positions
 from cellapp.robot.model.nominal import nominal_arm
 from tests.arms import OFF_AXIS, UR10, at_station
 from tests.evidence.shared.estimates import merged_values
-from tests.series import Array, Series, series, twin
+from tests.series import Array, Series, readings_at, series, twin
 from tests.sure import sure
 from tests.twin import altered
 
@@ -51,7 +52,8 @@ def error_m(fit: OnlineFit, q: Array, true_M: Array) -> float:
 def test_after_all_stops_it_agrees_with_the_identification_of_the_same_readings(readings, name, stated):
     one = readings[name]
     nominal = start_from_nominal(nominal_arm(twin().arms[name]), one.q, one.p_M, tool_unknown=False)
-    batch, _ = identify_with_excess(nominal, one.q, one.p_M, sigma=one.covariance_M if stated else None)
+    its = measured_quantities(readings_at(one.q, one.p_M, covariance_M=one.covariance_M if stated else None))
+    batch, _ = identify_with_excess(nominal, its)
     fit, report = fitted(name, one, stated=stated)
     geometry = sure(fit.geometry)
     off = (merged_values(batch.parameter_set, geometry, nominal) - batch.values) / batch.standard_errors

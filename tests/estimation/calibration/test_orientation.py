@@ -77,10 +77,8 @@ def start_of(readings, nominal):
 
 
 def identified(readings, nominal, **changes):
-    its = measured_quantities(readings)
-    arguments = {"sigma": its.stated, "prior_sigma": {}, **changes}
-    start = start_of(readings, nominal)
-    return identify_with_excess(start, its.readings.q, its.readings.p_M, R_M_S=its.R_M_S, **arguments)
+    arguments = {"prior_sigma": {}, **changes}
+    return identify_with_excess(start_of(readings, nominal), measured_quantities(readings), **arguments)
 
 
 def test_derivatives_of_positions_and_orientations_are_those_of_the_chain():

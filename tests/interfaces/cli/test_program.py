@@ -28,10 +28,11 @@ from cellapp.commands.doctor.result import DoctorResult
 from cellapp.commands.export.request import ExportRequest
 from cellapp.commands.export.run import export
 from cellapp.commands.registry import PANEL, name_of, records
+from cellapp.commands.run_state import DATA_MARK, RunState
 from cellapp.commands.runs.run import summarise
 from cellapp.commands.show.overview import run_history, run_overview
 from cellapp.commands.show.view import overview_sentences, overview_tables
-from cellapp.commands.stages import DATA_MARK, append_stage, basis_of, data_mark
+from cellapp.commands.stages import append_stage, basis_of
 from cellapp.estimation.readings import Readings
 from cellapp.ground import removed
 from cellapp.ground.errors import CheckFailed, InputError
@@ -242,7 +243,7 @@ def test_a_run_of_an_earlier_version_opens_and_says_what_is_ignored(some_removed
         connection.execute("UPDATE meta SET value = ? WHERE key = 'profile'", (json.dumps(content),))
     with RunFile.open(path.parent) as run:
         assert run.profile == profile
-        state, history = run_overview(run), run_history(run)
+        state, history = run_overview(RunState(run)), run_history(RunState(run))
     assert set(state.ignored_keys) == {"magic", "arms.left.teleport"}
     assert [one.out_of_date for one in (*state.stages, *history.stages)] == [
         "an earlier version made it; this one has no such step"
@@ -276,7 +277,7 @@ def test_a_run_of_removed_readings_opens_for_show_and_export_and_calibrate_says_
         run.add_stop(0, {"right": Readings.one(q=np.zeros(6), p_M=np.array([3.0, 0.5, 0.1]))})
     old_rows(path, columns, rows)
     with RunFile.open(path.parent, write=True) as run:
-        state = run_overview(run)
+        state = run_overview(RunState(run))
         assert (state.arms["left"].measured, state.next_step) == (3, "cellapp docs planning")
         assert state.complaints[0].startswith(f"arm 'left': readings of {what} were removed in ")
         exported = export(run, ExportRequest(folder=run.folder, csv=tmp_path / "out.csv"))
@@ -285,7 +286,7 @@ def test_a_run_of_removed_readings_opens_for_show_and_export_and_calibrate_says_
         with pytest.raises(InputError, match=rf"arm 'left': readings of {what}.*'cellapp show "):
             calibrate_run(run)
         append_stage(run, "calibrate", calibration("left", "right"), basis_of(run))
-        (stage,) = run_overview(run).stages
+        (stage,) = run_overview(RunState(run)).stages
         assert stage.out_of_date == "an earlier version made it, from readings of a kind that was removed"
     opened = load_workspace(None, path.parent)
     assert (opened.problem, opened.folder, opened.conformity) == ("", path.parent, "not decided")
@@ -307,7 +308,7 @@ def blank_page(monkeypatch: pytest.MonkeyPatch) -> None:
 
     def write(run: RunFile) -> Path:
         page = run.folder / "report.html"
-        page.write_text(f'<meta name="{DATA_MARK}" content="{data_mark(run)}">', encoding="utf-8")
+        page.write_text(f'<meta name="{DATA_MARK}" content="{RunState(run).data_mark}">', encoding="utf-8")
         return page
 
     monkeypatch.setattr(page, "write_page", write)

@@ -22,6 +22,7 @@ from cellapp.commands.calibrate.charts import pair_stop_chart, stop_error_chart
 from cellapp.commands.calibrate.view import distance_mm
 from cellapp.commands.report.data import read_report_data
 from cellapp.commands.run_results import read_results
+from cellapp.commands.run_state import RunState
 from cellapp.commands.stages import CALIBRATION_FILE, append_stage, basis_of, basis_on_model, read_stages
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import DiscoverResult
@@ -189,7 +190,7 @@ def test_what_cannot_be_written_is_refused(single: RunFile, single_text: str, tm
 
 
 def test_figures_show_what_the_tables_say(whole: RunFile) -> None:
-    data, calibrate = read_report_data(whole), calibration_of(whole)
+    data, calibrate = read_report_data(RunState(whole)), calibration_of(whole)
     floors = []
     for name, arm in calibrate.arms.items():
         chart = stop_error_chart(name, data.held_out[name], arm.tracker_mm)

@@ -44,6 +44,7 @@ from cellapp.commands.plan.view import plan_section
 from cellapp.commands.report.data import out_of_date_lines, read_report_data
 from cellapp.commands.report.sections import report_sections
 from cellapp.commands.run_results import RunResults, read_results
+from cellapp.commands.run_state import RunState
 from cellapp.commands.show.overview import run_overview
 from cellapp.commands.show.view import overview_sentences
 from cellapp.commands.stages import append_stage, basis_on_model, read_stages
@@ -173,8 +174,10 @@ def test_the_page_and_the_overview_show_a_check(finished_copy: Path) -> None:
     with RunFile.open(finished_copy, write=True) as run:
         basis = basis_on_model(run, stage_in_force(run, read_stages(run)))
         append_stage(run, CHECK, checked(notes=("<b>left</b>",)), basis)
-        assert "do not use it as it is: the last 'check' found: arm changed" in overview_sentences(run_overview(run))
-        data = read_report_data(run)
+        assert "do not use it as it is: the last 'check' found: arm changed" in overview_sentences(
+            run_overview(RunState(run))
+        )
+        data = read_report_data(RunState(run))
         (section,) = (one for one in report_sections(run, data) if one.key == "check")
     assert dict(out_of_date_lines(data))[CHECK].endswith("(arm left: zero of joint 3)")
     drawn = template("sections/layout.html").module.folding(section)  # type: ignore[attr-defined]

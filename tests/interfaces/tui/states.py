@@ -13,9 +13,9 @@ from cellapp.commands.docs.keys import Step
 from cellapp.commands.run_results import RunResults
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.ground.progress import JobState, Progress, StateChange
+from cellapp.interfaces.tui.day_state import SIGNS, DayState, Mark, day_state
 from cellapp.interfaces.tui.job_record import JobRecord
 from cellapp.interfaces.tui.jobs import Job
-from cellapp.interfaces.tui.run_state import SIGNS, Mark, RunState, run_state
 from cellapp.interfaces.tui.screens import SCREENS
 from cellapp.interfaces.tui.screens.collect import headline
 from cellapp.interfaces.tui.workspace import Workspace, load_workspace
@@ -78,7 +78,7 @@ def events(job: JobState) -> tuple[Progress, ...]:
     return (Progress("collect", 3, 4, "stop 4", 60.0), *change)
 
 
-def state_and_record(name: str) -> tuple[RunState, JobRecord]:
+def state_and_record(name: str) -> tuple[DayState, JobRecord]:
     """One of the states with what is known of its job, from files in the present folder."""
     made = STATES[name]
     made.make()
@@ -95,7 +95,7 @@ def state_and_record(name: str) -> tuple[RunState, JobRecord]:
         running = Job("collect", lambda control, ask: None, RUN, moves=True, process=process)
     if name == "read-only":
         workspace = replace(workspace, read_only=True)
-    state = run_state(workspace, record, running)
+    state = day_state(workspace, record, running)
     return (
         _calibrated(state, outdated=name == "out of date") if name in ("calibrated", "out of date") else state
     ), record
@@ -107,7 +107,7 @@ def _without_run() -> Workspace:
         return Workspace(profile=run.profile)
 
 
-def _calibrated(state: RunState, *, outdated: bool) -> RunState:
+def _calibrated(state: DayState, *, outdated: bool) -> DayState:
     """The state once both were done; ``outdated``: and readings were added since."""
     kind = Mark("out of date", "out of date: 2 readings were added since") if outdated else None
     done = {step: kind or Mark("done", f"the run {words}") for step, words in _CONCLUDED.items()}
@@ -118,7 +118,7 @@ def _calibrated(state: RunState, *, outdated: bool) -> RunState:
     return replace(state, workspace=replace(state.workspace, results=calibrated), marks=marks)
 
 
-def sentences(state: RunState, record: JobRecord) -> dict[str, str]:
+def sentences(state: DayState, record: JobRecord) -> dict[str, str]:
     """Where -> what stands there in a state."""
     word, sentence, _ = headline(state, record, "none")
     steps = " ".join(f"{entry.key} {entry.title}{SIGNS[state.marks[entry.step].kind]}".strip() for entry in SCREENS)

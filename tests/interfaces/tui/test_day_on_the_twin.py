@@ -9,6 +9,7 @@ import pytest
 
 from cellapp.cell.run import RunFile
 from cellapp.commands.run_results import read_results
+from cellapp.commands.run_state import RunState
 from cellapp.commands.show.overview import run_overview
 from cellapp.interfaces.tui.app import CellApp
 from tests.interfaces.tui.pilot import SMALL, shows
@@ -81,7 +82,7 @@ async def test_from_an_empty_folder_to_a_verified_report() -> None:
     (folder,) = Path("logs").iterdir()
     assert (folder / "report.html").is_file()
     with RunFile.open(folder) as run:
-        overview, results = run_overview(run), read_results(run)
+        overview, results = run_overview(RunState(run)), read_results(run)
     assert [(stage.name, stage.out_of_date) for stage in overview.stages] == [
         (name, None) for name in ("calibrate", "discover", "compensate", "verify")
     ]

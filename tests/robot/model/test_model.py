@@ -123,8 +123,7 @@ def test_intervals_hold_95_percent_of_new_simulated_readings():
         draws = PosteriorSamples.of_covariance(columns, [], Sigma, ReadingsNoise(sigma_m), (seed,))
         bodies = Bodies(UR10_MASSES, UR10_CENTERS, 0.0, np.zeros(3))
         model = ArmModel(found.geometry, nominal, bodies, np.array([0.0, 0.0, 1.0]), posterior=draws)
-        left = np.abs(p_M[60:] - model.predict(q[60:]))
-        within.append(left <= 1.96 * model.measured_uncertainty(q[60:])[:, None])
+        within.append(np.abs(p_M[60:] - model.predict(q[60:])) <= 1.96 * model.measured_uncertainty(q[60:])[:, None])
         uncertain.append(model.uncertainty(q[60:]))
     assert np.mean(within) == pytest.approx(0.95, abs=0.015)
     # 27 parameters from 180 coordinates: their part of the variance of a prediction is at least their share

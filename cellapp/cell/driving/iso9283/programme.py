@@ -50,7 +50,15 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.chain import Geometry, JointAngles, flange_poses, frame_poses, jacobian, parameter_names
-from cellapp.robot.kinematics.transforms import Array, apply, rotation_from_vector, rotations_of, rpy_of, xyz_of
+from cellapp.robot.kinematics.transforms import (
+    Array,
+    apply,
+    rms_length,
+    rotation_from_vector,
+    rotations_of,
+    rpy_of,
+    xyz_of,
+)
 from cellapp.robot.kinematics.transforms import invert as inverse_transform
 from cellapp.robot.model import ArmModel, CellModel
 from cellapp.robot.model.inverse import invert, with_approach
@@ -155,7 +163,7 @@ def align(profile: Profile, name: str, q: Array, points: Sequence[Point]) -> Ali
     found = found.settled(f"fit of the base and SMR of arm {name}")
     geometry = with_probe(found.geometry, q, R_M_S)
     model = replace(nominal_model(profile, name), geometry=geometry, nominal=geometry)
-    rms_m = float(np.sqrt(np.mean(np.sum(found.residuals**2, axis=1))))
+    rms_m = rms_length(found.residuals)
     return Alignment(model, columns, found.estimated_covariance, rms_m, len(q))
 
 

@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from cellapp.estimation.calibration.least_squares import NORMAL_95
-from cellapp.estimation.discovery.accepted import model_without, rms_length
+from cellapp.estimation.discovery.accepted import model_without, rms_of_whitened
 from cellapp.estimation.discovery.arm_data import UNKNOWN, ModelTerm
 from cellapp.estimation.discovery.joint_fit import JointFit, left_out, left_out_in_sd
 from cellapp.estimation.discovery.outcome import HeldOut
@@ -115,7 +115,7 @@ def unnamed_record(found: SearchResult, held_out: HeldOut) -> Unnamed:
         signals += [(column.where, one) for column, one in zip(fit.term_columns(number), moved, strict=True)]
     by_place = {where: np.sum(its, axis=0) for where, its in grouped(signals).items()}
     visible = fit.projector_of(kept).project(np.array([sum(by_place.values()), *by_place.values()]))
-    total, *sizes = [rms_length(fit, one) * 1e3 for one in visible]
+    total, *sizes = [rms_of_whitened(fit, one) * 1e3 for one in visible]
     order = np.argsort(sizes)[::-1]
     places = [list(by_place)[k] for k in order if sizes[k] >= _MOSTLY * max(sizes)]
     evidence = {number: smooth.evidence for number in parts if (smooth := fit.terms[number].smooth) is not None}

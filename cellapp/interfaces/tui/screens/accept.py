@@ -23,9 +23,9 @@ from cellapp.commands.report.request import VERB as REPORT
 from cellapp.estimation.iso9283.norm import ISO_COMMANDS, ISO_TESTS
 from cellapp.ground.results import CALIBRATE, CERTIFICATE, CHECK, ISO9283, StageName
 from cellapp.interfaces.tui import verb_jobs
+from cellapp.interfaces.tui.day_state import DayState
 from cellapp.interfaces.tui.dialogs.question import ChosenAnswer
 from cellapp.interfaces.tui.keys import bind, with_keys
-from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.tabs import TabsScreen
 from cellapp.interfaces.tui.widgets.controls import Line
 from cellapp.interfaces.tui.widgets.parts_view import words_first
@@ -117,7 +117,7 @@ class AcceptScreen(TabsScreen):
 
     # -- drawing -------------------------------------------------------------------------------------------------------
 
-    def show_state(self, state: RunState) -> None:
+    def show_state(self, state: DayState) -> None:
         """Say why there is no result and no verdict."""
         busy = state.nothing(self.STEP, "") if state.job is not None and state.job.step == self.STEP else ""
         needs = {"Check": state.not_calibrated, "ISO 9283": "", "Certificate": state.no_run}

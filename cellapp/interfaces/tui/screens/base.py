@@ -15,12 +15,12 @@ from textual.screen import Screen
 from textual.widgets import Static
 
 from cellapp.commands.docs.keys import KEYS, SHOWN, Step
+from cellapp.interfaces.tui.day_state import DayState
 from cellapp.interfaces.tui.dialogs.question import BEGIN, USE_STALE, Choice, ChosenAnswer, Reading
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.host import Host
 from cellapp.interfaces.tui.job_record import JobRecord
 from cellapp.interfaces.tui.keys import way_of, with_keys
-from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.verb_jobs import verb_job
 from cellapp.interfaces.tui.widgets.arm_panel import LiveStrip
 from cellapp.interfaces.tui.widgets.controls import KeyLine, Line
@@ -54,7 +54,7 @@ class DayScreen(Screen[None]):
 
     def __init__(self) -> None:
         super().__init__()
-        self._state: RunState | None = None
+        self._state: DayState | None = None
         self._look: tuple[object, ...] = ()
         self._shown: Workspace | None = None
 
@@ -81,7 +81,7 @@ class DayScreen(Screen[None]):
         return self.app.theme, self.app.app_focus, self.app.classes
 
     @property
-    def state(self) -> RunState:
+    def state(self) -> DayState:
         """The state of the run."""
         return self.cell_app.state
 
@@ -123,7 +123,7 @@ class DayScreen(Screen[None]):
             self.show_state(state)
             self._state = state  # only now: if a widget was missing above, the next call draws it
 
-    def show_state(self, state: RunState) -> None:
+    def show_state(self, state: DayState) -> None:
         """Draw the sentences of this screen about the state."""
 
     def show_job(self, record: JobRecord) -> None:

@@ -18,9 +18,9 @@ from cellapp.commands.doctor.request import VERB as DOCTOR
 from cellapp.commands.doctor.request import DoctorRequest
 from cellapp.ground.starters import offered_profiles
 from cellapp.interfaces.tui import verb_jobs as verbs
+from cellapp.interfaces.tui.day_state import DayState
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.keys import bind
-from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.tabs import TabsScreen, id_of
 from cellapp.interfaces.tui.widgets.controls import Line
 from cellapp.interfaces.tui.widgets.tables import CellMap
@@ -204,7 +204,7 @@ class CellScreen(TabsScreen):
 
     # -- drawing -------------------------------------------------------------------------------------------------------
 
-    def show_state(self, state: RunState) -> None:
+    def show_state(self, state: DayState) -> None:
         """No step of a run has its result here."""
 
     def show_workspace(self, workspace: Workspace) -> None:

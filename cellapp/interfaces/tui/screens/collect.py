@@ -25,11 +25,11 @@ from cellapp.ground.control import Request
 from cellapp.ground.counting import counted
 from cellapp.ground.progress import JobState
 from cellapp.interfaces.tui import verb_jobs as jobs
+from cellapp.interfaces.tui.day_state import DayState, holds_for_drift
 from cellapp.interfaces.tui.dialogs.question import BEGIN, Choice
 from cellapp.interfaces.tui.job_record import ArmRecord, JobRecord, LogRow, level_of
 from cellapp.interfaces.tui.jobs import Job
 from cellapp.interfaces.tui.keys import bind
-from cellapp.interfaces.tui.run_state import RunState, holds_for_drift
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.terminal import since_words
 from cellapp.interfaces.tui.widgets.arm_panel import ArmPanel, tracker_words
@@ -58,7 +58,7 @@ Headline = tuple[str, str, _Style]
 """A word, a sentence with what can be done, and their style."""
 
 
-def headline(run: RunState, record: JobRecord, request: Request) -> Headline:
+def headline(run: DayState, record: JobRecord, request: Request) -> Headline:
     """Return the state of the job, else of the run; ``request`` is the last request of a person to the job."""
     if record.state is None:
         return _of_run(run)
@@ -80,7 +80,7 @@ def headline(run: RunState, record: JobRecord, request: Request) -> Headline:
     return (state.upper(), f"{since_words(record)}. {possible}" if waits else possible, look)
 
 
-def _of_run(state: RunState) -> Headline:
+def _of_run(state: DayState) -> Headline:
     cell, todo, measured = state.workspace, state.remaining, state.measured
     if state.no_run:
         return ("NO RUN", state.no_run, "idle")
@@ -263,7 +263,7 @@ class CollectScreen(DayScreen):
         self.query_one(PartsView).show([] if state is None else collection_tables(state))
         self.query_one(CollectedStops).show(state)
 
-    def show_state(self, state: RunState) -> None:
+    def show_state(self, state: DayState) -> None:
         """Say what is collected, if no table does."""
         self.query_one(PartsView).say_empty(state.not_collected)
         self.query_one(CollectedStops).say_empty(state.not_collected)

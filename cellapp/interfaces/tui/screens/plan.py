@@ -20,8 +20,8 @@ from cellapp.commands.show.result import Shown
 from cellapp.commands.view.table import Cell, Table, table_of_cells
 from cellapp.ground.counting import counted
 from cellapp.interfaces.tui import verb_jobs as verbs
+from cellapp.interfaces.tui.day_state import DayState
 from cellapp.interfaces.tui.keys import bind
-from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.tabs import TabsScreen, id_of
 from cellapp.interfaces.tui.widgets.controls import Line
 from cellapp.interfaces.tui.widgets.tables import CellMap, TextTable
@@ -172,7 +172,7 @@ class PlanScreen(TabsScreen):
         self._list_stops()
         self._draw_results()
 
-    def show_state(self, state: RunState) -> None:
+    def show_state(self, state: DayState) -> None:
         """Say how much is planned and measured, or what to do."""
         self.query_one("#plan-state", Line).say(_state_words(state, self.workspace))
 
@@ -219,7 +219,7 @@ def _stops_of(workspace: Workspace) -> Sequence[PlannedStop]:
     return () if workspace.stops is None else workspace.stops.stops
 
 
-def _state_words(state: RunState, workspace: Workspace) -> str:
+def _state_words(state: DayState, workspace: Workspace) -> str:
     """Return how much is planned and measured, or what to do."""
     if state.no_run or workspace.overview is None:
         return state.no_run

@@ -9,7 +9,7 @@ from textual.app import ComposeResult
 from textual.widgets import TabbedContent, TabPane, Tabs
 
 from cellapp.commands.docs.keys import SHOWN
-from cellapp.interfaces.tui.run_state import RunState
+from cellapp.interfaces.tui.day_state import DayState
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.parts_view import PartsView
 
@@ -61,7 +61,7 @@ class TabsScreen(DayScreen):
         shown = next(place for place, title in enumerate(titles) if id_of(title) == self.tabs.active)
         self.show_tab(titles[(shown + 1) % len(titles)])
 
-    def show_state(self, state: RunState) -> None:
+    def show_state(self, state: DayState) -> None:
         """Say why there is no result of the step."""
         for title, empty in self.TABS.items():
             self.tab(title).say_empty("" if self.workspace.stored(self.STEP) else state.nothing(self.STEP, empty))

@@ -39,10 +39,10 @@ from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.interfaces.tui import verb_jobs
+from cellapp.interfaces.tui.day_state import DayState
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.dialogs.question import BEGIN, USE_STALE, WRITE, Choice
 from cellapp.interfaces.tui.keys import bind
-from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.tabs import TabsScreen, id_of
 from cellapp.interfaces.tui.widgets.parts_view import words_first
 from cellapp.interfaces.tui.widgets.tables import TextTable
@@ -58,7 +58,7 @@ def listed_path(workspace: Workspace) -> Path | None:
     return workspace.profile_path.parent / workspace.profile.targets
 
 
-def why_not(workspace: Workspace, state: RunState, targets: Sequence[Target]) -> str:
+def why_not(workspace: Workspace, state: DayState, targets: Sequence[Target]) -> str:
     """Return why commands cannot be computed for the list, and what to do; empty if they can."""
     if state.not_calibrated or workspace.profile is None:
         return state.not_calibrated
@@ -258,7 +258,7 @@ class TargetsScreen(TabsScreen):
 
     # -- drawing -------------------------------------------------------------------------------------------------------
 
-    def show_state(self, state: RunState) -> None:
+    def show_state(self, state: DayState) -> None:
         """Say why nothing was computed."""
         self.tab("Results").say_empty(state.nothing(self.STEP, self.TABS["Results"]))
 

@@ -9,7 +9,7 @@ from textual.app import ComposeResult
 from textual.containers import Horizontal
 
 from cellapp.commands.docs.keys import Step
-from cellapp.interfaces.tui.run_state import SIGNS, Mark, RunState
+from cellapp.interfaces.tui.day_state import SIGNS, DayState, Mark
 from cellapp.interfaces.tui.screens import SCREENS
 from cellapp.interfaces.tui.widgets.controls import Line, StopButton
 
@@ -26,7 +26,7 @@ class DayHeader(Horizontal):
         yield Line(classes="job")
         yield StopButton()
 
-    def show(self, state: RunState) -> None:
+    def show(self, state: DayState) -> None:
         """Draw the open run and the running job."""
         job, kind, words = state.job, state.workspace.kind, ""
         badge = f" {_BADGES.get(kind, kind.upper())} "

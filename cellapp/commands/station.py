@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from cellapp.cell.run import RunFile
-from cellapp.commands.run_results import read_results
+from cellapp.commands.run_state import RunState
 from cellapp.commands.stages import RunStages, read_history, read_stages, tracker_moved
 from cellapp.estimation.calibration.least_squares import mean_variance
 from cellapp.estimation.monitoring.records import LocateResult
@@ -63,18 +63,18 @@ def refuse_second_station(run: RunFile) -> None:
     )
 
 
-def excess_of_readings(run: RunFile, model: CellModel) -> dict[str, float]:
+def excess_of_readings(state: RunState, model: CellModel) -> dict[str, float]:
     """Return the scatter [m] of a coordinate about the model beyond the tracker's covariance, by arm.
 
     It is the model's own value; without one it follows from the errors at held-out stops.
     """
-    stored, found = read_results(run).calibrate, {}
+    stored, found = state.results.calibrate, {}
     for name, arm in model.arms.items():
         noise_m = 0.0 if arm.posterior is None else arm.posterior.noise.m
         if arm.posterior is None and stored is not None:
             result = stored.arms[name]
             noise_m = result.validate_[result.best_stage].position_mm.rms * 1e-3 / math.sqrt(3.0)
-        stated = stated_uncertainty(run.readings(name))
+        stated = stated_uncertainty(state.run.readings(name))
         tracker = 0.0 if stated is None else mean_variance(stated)
         found[name] = math.sqrt(max(noise_m**2 - tracker, 0.0))
     return found

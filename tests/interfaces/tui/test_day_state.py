@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from cellapp.commands.next_step import stage_conclusions
+from cellapp.interfaces.tui.day_state import SIGNS, marks_of
 from cellapp.interfaces.tui.keys import with_keys
-from cellapp.interfaces.tui.run_state import SIGNS, marks_of
 from cellapp.interfaces.tui.workspace import load_workspace
 from tests.approved import assert_approved
 from tests.interfaces.tui.states import states_table

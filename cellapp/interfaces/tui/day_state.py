@@ -147,7 +147,7 @@ class JobNow:
 
 
 @dataclass(frozen=True)
-class RunState:
+class DayState:
     """State of the open run and the current job.
 
     Attributes
@@ -230,9 +230,9 @@ class RunState:
         return self.not_calibrated or else_
 
 
-def run_state(
+def day_state(
     workspace: Workspace, record: JobRecord, running: Job | None = None, waits: str = "", reading: str = ""
-) -> RunState:
+) -> DayState:
     """Return the state of the open run and the running job.
 
     ``waits`` is the run that was open last, in words; ``reading`` says what is not read yet.
@@ -249,7 +249,7 @@ def run_state(
         todo = max(todo - max(job.stops - measured, 0), 0)
         measured = max(measured, job.stops)
     planned = len(stops) - len(reserves)
-    return RunState(
+    return DayState(
         marks=marks_of(workspace, measured, planned, todo, job.step if here and job is not None else None),
         workspace=workspace,
         planned=planned,
