@@ -8,6 +8,10 @@ from typing import Literal
 Status = Literal["ok", "warning", "failed"]
 
 
+DhRow = tuple[float, float, float, float]
+"""theta, d, a, alpha of a joint [rad, m, m, rad]."""
+
+
 @dataclass(frozen=True)
 class DeviceReport:
     """What a device reports about itself; None if not reported.
@@ -35,7 +39,7 @@ class DeviceReport:
     air_c: float | None = None
     pressure_hpa: float | None = None
     humidity_percent: float | None = None
-    dh_rows: tuple[tuple[float, ...], ...] | None = None
+    dh_rows: tuple[DhRow, ...] | None = None
     dh_checksum: str | None = None
 
 
@@ -54,7 +58,7 @@ class ArmIdentity:
     model: str
     serial: str
     software: str
-    dh_rows: tuple[tuple[float, ...], ...] | None = None
+    dh_rows: tuple[DhRow, ...] | None = None
     dh_checksum: str = ""
 
 

@@ -46,8 +46,8 @@ _HEAD = 20_000
 class RunState:
     """The state of an open run; each part is computed when it is asked for, once.
 
-    ``counted``: to see which stages hold, readings are only counted, which is quick; page and certificate are not
-    looked at.
+    ``counted``: to see which stages hold, readings are only counted, which is quick; what comes next does not depend on
+    page and certificate then.
     """
 
     run: RunFile

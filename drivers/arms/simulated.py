@@ -103,7 +103,7 @@ class SimulatedArm:
             model=model,
             serial=f"SIM-{self._name}",
             software="simulated",
-            dh_rows=None if own is None else tuple(map(tuple, own.rows.tolist())),
+            dh_rows=None if own is None else tuple((theta, d, a, alpha) for theta, d, a, alpha in own.rows.tolist()),
             dh_checksum="" if own is None else own.checksum,
         )
 

@@ -33,7 +33,7 @@ from drivers.arms.ur_links import (
     resolve,
 )
 from drivers.arms.ur_rtde_reader import UrSample, read_sample, samples
-from drivers.findings import DeviceReport
+from drivers.findings import DeviceReport, DhRow
 from drivers.patience import Patience
 
 _LARGEST_PACKAGE = 65536
@@ -98,7 +98,7 @@ class UrKinematics:
         The checksums of the six joints as one text; empty without calibration (a simulator).
     """
 
-    rows: tuple[tuple[float, ...], ...]
+    rows: tuple[DhRow, ...]
     checksum: str
 
 

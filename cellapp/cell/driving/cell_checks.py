@@ -97,8 +97,10 @@ def _query(arm: Arm) -> tuple[ArmIdentity, tuple[str, ...]]:
         warnings = arm.warnings()
     except ArmError as error:
         raise HardwareError(str(error)) from error
-    rows = found.dh_rows if found.dh_checksum else None  # of a plug-in perhaps an array
-    return replace(found, dh_rows=None if rows is None else tuple(tuple(map(float, row)) for row in rows)), warnings
+    rows = found.dh_rows if found.dh_checksum else None
+    if rows is not None:  # a plug-in may give an array
+        rows = tuple((float(theta), float(d), float(a), float(alpha)) for theta, d, a, alpha in rows)
+    return replace(found, dh_rows=rows), warnings
 
 
 def _compare(name: str, before: ArmIdentity, now: ArmIdentity) -> list[str]:

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import TypeAdapter
 
 from cellapp.cell.run.columns import Kind, joint_stream, point_stream
 from cellapp.cell.run.file import RunFile
@@ -170,6 +171,7 @@ def unpacked(data: bytes, n: int) -> NDArray[np.float64]:
 _DOCUMENT = "motion_samples"
 _KEPT = ("time_s", "sigma_m", "q", "approach", "p_M", "other_q", "split")
 """What is stored of samples."""
+_STORED = TypeAdapter(dict[str, dict[str, Any]])
 
 
 def keep_samples(run: RunFile, samples: Mapping[str, Readings]) -> None:
@@ -183,8 +185,7 @@ def keep_samples(run: RunFile, samples: Mapping[str, Readings]) -> None:
 
 def known_readings(run: RunFile, arm: str) -> Readings:
     """Return the readings of one arm at rest, followed by the samples of its recordings that the calibration stored."""
-    measured, text = run.readings(arm), run.read_document(_DOCUMENT)
-    stored = None if text is None else json.loads(text).get(arm)
+    measured, stored = run.readings(arm), run.read_checked(_DOCUMENT, _STORED, {}, "calibrate again").get(arm)
     if stored is None:
         return measured
     kept: dict[str, Any] = {name: np.array(values) for name, values in stored.items() if values is not None}

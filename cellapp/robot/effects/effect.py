@@ -40,8 +40,6 @@ _FRAMES = {"base": "the base", "tool": "the target on the flange", "tracker": "t
 class Meaning:
     """Where an effect comes from, how large it usually is, what to check or mend, and what would settle it.
 
-    Texts may hold ``{place}``, for which ``at`` puts the joints or the frame that the effect acts on.
-
     Attributes
     ----------
     cause : str
@@ -77,7 +75,7 @@ class Meaning:
         return cls(cause, size, source, tuple(found["check"]), tuple(found["settle"]))
 
     def at(self, place: str) -> Meaning:
-        """The same with the place in words, for example ``joints 2 and 3``: texts then speak of ``each of`` them."""
+        """The same with the place in words for ``{place}``, for example ``joints 2 and 3``: ``each of`` them, then."""
         one = f"each of {place}" if place.startswith(("joints ", "links ")) else place
 
         def fill(text: str) -> str:

@@ -129,8 +129,12 @@ def test_an_arm_of_seven_joints_is_no_ur(real: Profile) -> None:
         pass
 
 
-def test_a_damaged_record_is_named(run: RunFile, cell: Cell) -> None:
-    run.write_document(CONTROLLERS_RESULT, '{"left": {"model": 1}}')
+@pytest.mark.parametrize(
+    "record",
+    ['{"model": 1}', '{"model": "", "serial": "", "software": "", "dh_checksum": "a", "dh_rows": [[1, 2, 3]]}'],
+)
+def test_a_damaged_record_is_named(run: RunFile, cell: Cell, record: str) -> None:
+    run.write_document(CONTROLLERS_RESULT, f'{{"left": {record}}}')
     with pytest.raises(InputError, match=r"the document .controllers. is damaged; start a new run"):
         check_controllers(run, cell)
 
