@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 from pydantic import TypeAdapter
@@ -100,7 +99,7 @@ def _query(arm: Arm) -> tuple[ArmIdentity, tuple[str, ...]]:
     rows = found.dh_rows if found.dh_checksum else None
     if rows is not None:  # a plug-in may give an array
         rows = tuple((float(theta), float(d), float(a), float(alpha)) for theta, d, a, alpha in rows)
-    return replace(found, dh_rows=rows), warnings
+    return ArmIdentity(found.model, found.serial, found.software, rows, found.dh_checksum), warnings
 
 
 def _compare(name: str, before: ArmIdentity, now: ArmIdentity) -> list[str]:

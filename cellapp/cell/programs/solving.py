@@ -281,8 +281,8 @@ def _corrected(target: ProgramTarget, *, q_new: Array, meant: Array, told: Array
 
 
 _ROUNDS = 30
-"""Maximum number of iterates of ``aim``: each gains two decades, but beside a singularity."""
-_SAME_ROTATION = 1e-12
+"""Maximum number of iterates of ``aim``: each gains two decades, fewer beside a singularity."""
+_SAME_POSE = 1e-12
 """Residual [m, rad] at which that iteration ends: far below any controller's resolution."""
 
 
@@ -341,7 +341,7 @@ def aim(arm: ArmModel, wanted_M: Array, start: Array, conditions: MeasurementCon
         return np.concatenate([wanted[:, :3, 3] - reached[:, :3, 3], rotation], axis=1), J
 
     fixed = np.zeros(len(start), dtype=np.bool_)
-    return newton(errors, start, fixed, rounds=_ROUNDS, same=_SAME_ROTATION, within=_RESIDUAL)
+    return newton(errors, start, fixed, rounds=_ROUNDS, same=_SAME_POSE, within=_RESIDUAL)
 
 
 def branches(chain: Geometry, poses: Array, limits: Array, near: Array, seed: int) -> list[Array]:

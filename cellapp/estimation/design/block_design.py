@@ -225,7 +225,7 @@ updates lose as many digits."""
 _SAMPLED = 4000
 """Least number of candidates for the mean information: its errors are then about a percent."""
 _TOGETHER = 100
-"""Stops of a design for which one more candidate is added, or removed, at a time: the gains hardly change by that."""
+"""Stops of a design for which one candidate is added, or removed, at a time: the gains hardly change by that."""
 _FOLLOWED = 50
 """Number of tracked candidates, or two for each stop of a batch: with fewer, the best for a later one may be missing.
 """
@@ -307,7 +307,7 @@ def choose_blocks(
 
 
 def least_informative_last(candidates: Candidates, chosen: Rows, criterion: Criterion) -> Rows:
-    """Move the stops that can best be missed, one after the other, to the end, the best one last."""
+    """Move the stops that can best be missed to the end, the best one last."""
     design, missed = candidates.design(chosen, criterion), round(_MISSED * len(chosen))
     likely = np.sort(np.argsort(design.gains(-1.0), kind="stable")[: _LIKELY_MISSED * missed])
     design.track(candidates.rows[chosen[likely]])
@@ -317,11 +317,11 @@ def least_informative_last(candidates: Candidates, chosen: Rows, criterion: Crit
 
 def _together(stops: int) -> int:
     """Return how many candidates are added to a design of ``stops``, or removed, at a time."""
-    return 1 + stops // _TOGETHER
+    return max(1, min(stops // _TOGETHER, _ROWS_CHANGED // 3))
 
 
 def _greedy(candidates: Candidates, count: int, W: Array, rng: np.random.Generator, steps: JobSteps) -> Rows:
-    """Choose stop by stop the largest gain in a subset."""
+    """Choose the largest gains in subsets, few stops at a time."""
     free = np.ones(len(candidates), dtype=bool)
     size = max(_SMALLEST_BATCH, -(-count // _BATCHES))
     information, before = candidates.prior, 0
@@ -388,7 +388,7 @@ _EMPTY_SPACINGS = 10.0
 """The same limit for few candidates, in mean distances between them: longer gaps do not occur by chance."""
 _IMMOVABLE = 1e-12
 """Replacement of a zero limit, for a joint that does not move [rad]."""
-_MOST_LOOKED_AT = 50
+_MOST_LOOKED_AT = 100
 """Most candidates examined for one gap: more of them differ little."""
 
 

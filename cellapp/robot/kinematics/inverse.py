@@ -64,7 +64,7 @@ class Inverted:
         )
 
 
-Errors = Callable[[NDArray[np.intp], Array], tuple[Array, Array]]
+PoseErrors = Callable[[NDArray[np.intp], Array], tuple[Array, Array]]
 """Rows of targets and their joint positions (k, N) [rad] -> errors (k, 6) [m, rad], and the Jacobian (k, 6, N)."""
 
 
@@ -101,7 +101,7 @@ def solve_pose(
 
 
 def newton(
-    errors_of: Errors, start: Array, free: NDArray[np.bool_], *, rounds: int, same: float, within: float
+    errors_of: PoseErrors, start: Array, free: NDArray[np.bool_], *, rounds: int, same: float, within: float
 ) -> Inverted:
     """Find joint positions near ``start`` (n, N) [rad] without errors: the best of at most ``rounds`` Newton iterates.
 
