@@ -85,6 +85,8 @@ class Column:
         per reading.
     since : int
         Schema of the run file that introduced the column.
+    units : tuple of str
+        Units one of which follows each name in ``csv`` after an underscore; "" if the name is whole.
     """
 
     name: str
@@ -99,6 +101,7 @@ class Column:
     expected: str = ""
     check: Callable[[NDArray[Any]], Fault | None] | None = None
     since: int = 1
+    units: tuple[str, ...] = ("",)
 
     @property
     def sql_name(self) -> str:
