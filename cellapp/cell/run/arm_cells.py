@@ -5,6 +5,7 @@ A header is read by its ``TableSpec``: which quantity a name is, what is missing
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from collections.abc import Collection, Mapping, Sequence
@@ -18,6 +19,9 @@ from numpy.typing import NDArray
 from cellapp.cell.run.csv_text import NUMBER, WHOLE, CsvTable, Problems, short, unquoted_text
 from cellapp.estimation.readings.columns import COLUMNS, CONFIGURATION, Column, beyond_limits
 from cellapp.estimation.readings.readings import Readings
+
+_NO_NUMBER = -(10**18)
+"""Stands for a cell that is no whole number; it is less than all that ``WHOLE`` describes."""
 
 
 class Named(NamedTuple):
@@ -78,11 +82,12 @@ READINGS = TableSpec((Column("arm", "", ("arm",), dtype=str, required=True), *CO
 
 @dataclass(frozen=True)
 class ArmCells:
-    """The rows of one arm, column by column; errors are noted in ``problems``."""
+    """The rows of one arm, column by column; in ``problems`` is noted the first error of a column, or ``every`` one."""
 
     table: CsvTable
     rows: Sequence[int]
     problems: Problems
+    every: bool = False
 
     def texts(self, name: str) -> list[str]:
         cells = self.table.cells[name]
@@ -94,28 +99,31 @@ class ArmCells:
     def refuse(self, index: int, name: str, text: str) -> None:
         self.problems.add(self.line(index), name, text)
 
+    def expect(
+        self, name: str, texts: Sequence[str], right: NDArray[np.bool_], what: str, required: bool = True
+    ) -> None:
+        """Note the cells of a column that are not right; empty ones if they are required."""
+        wrong = (index for index in np.flatnonzero(~right).tolist() if texts[index] or required)
+        for index in itertools.islice(wrong, None if self.every else 1):
+            text = f"expected {what}, got '{short(texts[index])}'" if texts[index] else "the value is missing"
+            self.refuse(index, name, text)
+
     def numbers(self, name: str, *, required: bool) -> NDArray[np.float64]:
-        """Parse a column to (n,), NaN for an empty cell that is not required; note its first wrong cell.
+        """Parse a column to (n,), NaN for a wrong cell, and for an empty one that is not required.
 
         ``float`` alone accepts more than decimal numbers: nan, 1_000, digits of other scripts.
         """
         texts = [text.strip() for text in self.texts(name)]
         values = np.array([float(text) if NUMBER.fullmatch(text) else math.nan for text in texts])
-        wrong = (index for index in np.flatnonzero(~np.isfinite(values)).tolist() if texts[index] or required)
-        if (index := next(wrong, None)) is not None:
-            text = f"expected a finite number such as 0.25, got '{short(texts[index])}'"
-            self.refuse(index, name, text if texts[index] else "the value is missing")
+        self.expect(name, texts, np.isfinite(values), "a finite number such as 0.25", required)
         return values
 
-    def whole_numbers(self, name: str) -> NDArray[np.int64]:
+    def whole_numbers(self, name: str, least: int = _NO_NUMBER + 1) -> NDArray[np.int64]:
         """Parse a column of integers to (n,), not via floats, which would round large ones."""
         texts = [text.strip() for text in self.texts(name)]
-        for index, text in enumerate(texts):
-            if not WHOLE.fullmatch(text):
-                what = f"expected a whole number, got '{short(text)}'" if text else "the value is missing"
-                self.refuse(index, name, what)
-                return np.zeros(len(texts), dtype=np.int64)
-        return np.array([int(text) for text in texts], dtype=np.int64)
+        values = np.array([int(text) if WHOLE.fullmatch(text) else _NO_NUMBER for text in texts], dtype=np.int64)
+        self.expect(name, texts, values >= least, "a whole number from 0" if least == 0 else "a whole number")
+        return values
 
     def words(self, column: Column) -> tuple[str | None, ...] | None:
         """Return a column of words, None for an empty cell; None if all are empty or the file lacks the column."""
