@@ -134,7 +134,7 @@ def _rows(stops: PlannedStops, joints: int, of_stops: int) -> Iterator[list[str]
 def _check_header(table: CsvTable, joints: int, problems: Problems) -> None:
     for name, _ in _PLANS.missing(table.names, joints):
         problems.add(1, name, "the column is missing")
-    known = [name for column in _PLANS.columns for name in column.csv_names(joints)]
+    known = _PLANS.names(joints)
     for name in table.names:
         if name not in known:
             hint = did_you_mean(name, known, "is '{}' meant?", otherwise=f"columns are {', '.join(known)}")

@@ -57,6 +57,10 @@ class TableSpec:
                     return Named(column, int(match[2]) - 1)
         return self.by_name.get(name)
 
+    def names(self, joints: int) -> list[str]:
+        """Return all columns of an arm with this number of joints, without units."""
+        return [name for column in self.columns for name in column.csv_names(joints)]
+
     def missing(self, names: Collection[str], joints: int = 1) -> list[tuple[str, Column]]:
         """Return what a header lacks, without units: of required quantities, and of those that it has in part."""
         there = {(its.column.name, its.place) for its in map(self.find, names) if its is not None}
