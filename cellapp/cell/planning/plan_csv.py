@@ -30,8 +30,8 @@ from typing import Any
 import numpy as np
 
 from cellapp.cell.planning.planned_stops import LONGEST_DWELL_S, Configuration, PlannedStops, straight_stops
-from cellapp.cell.run.arm_cells import ArmCells, TableSpec
 from cellapp.cell.run.csv_text import CsvTable, Problems, read_csv_table, short, write_csv
+from cellapp.cell.run.table_spec import ArmCells, TableSpec
 from cellapp.estimation.readings.columns import Column
 from cellapp.ground.counting import did_you_mean
 from cellapp.ground.errors import InputError
@@ -189,7 +189,7 @@ class _Points:
             for index in np.flatnonzero(~within).tolist():
                 text = f"{values[index]:g} rad is outside the limits {low:g} to {high:g} rad of arm {name}"
                 cells.refuse(index, f"q{joint}", text)
-        for column in _PLANS.beyond(cells.table.names, len(limits)):
+        for column in _PLANS.beyond(sorted(cells.table.names), len(limits)):
             for index, text in enumerate(cells.texts(column)):
                 if text.strip():
                     cells.refuse(index, column, f"there is a value, but arm {name} has {len(limits)} joints")

@@ -19,11 +19,11 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.run.arm_cells import TableSpec
 from cellapp.cell.run.csv_text import is_number
 from cellapp.cell.run.orientation_columns import QUATERNION, Written
 from cellapp.cell.run.records import StreamState
 from cellapp.cell.run.stream_csv import StreamTable
+from cellapp.cell.run.table_spec import TableSpec
 from cellapp.estimation.motion.streams import JointStream, PointStream
 from cellapp.estimation.readings.columns import COLUMNS, Column, beyond_limits
 from cellapp.ground.errors import InputError

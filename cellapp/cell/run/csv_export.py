@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cellapp.cell.run.arm_cells import READINGS
 from cellapp.cell.run.columns import Kind
 from cellapp.cell.run.csv_text import CsvTable, quoted_text, table_in_memory, whole, write_csv
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.recordings import read_stream, recording_states
 from cellapp.cell.run.records import RecordingState
+from cellapp.cell.run.table_spec import READINGS
 from cellapp.estimation.readings.columns import COLUMNS, CONFIGURATION, Column, Values
 from cellapp.estimation.readings.readings import Readings
 from cellapp.ground.counting import did_you_mean

@@ -14,7 +14,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.run.arm_cells import READINGS, ArmCells, read_arm
 from cellapp.cell.run.csv_text import CsvTable, Problems, read_csv_table
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.measurement_order import in_measured_order, order_fault, order_sentences, write_in_order
@@ -28,6 +27,7 @@ from cellapp.cell.run.stations import (
     tie_sentences,
     twice_at_a_stop,
 )
+from cellapp.cell.run.table_spec import READINGS, ArmCells, read_arm
 from cellapp.estimation.calibration.quantities import repeats_words
 from cellapp.estimation.calibration.station_location import COMPUTED, explained, wrong_factory
 from cellapp.estimation.readings.columns import OF_SOCKETS

@@ -17,7 +17,6 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.run.arm_cells import READINGS
 from cellapp.cell.run.columns import (
     EXAMPLES,
     FRACTION,
@@ -35,6 +34,7 @@ from cellapp.cell.run.columns import (
 )
 from cellapp.cell.run.csv_text import NUMBER, CsvTable, Problems, is_number, read_header, short, stamp_seconds
 from cellapp.cell.run.orientation_columns import Written, with_quaternions, written_orientation
+from cellapp.cell.run.table_spec import READINGS
 from cellapp.estimation.readings.columns import OF_SOCKETS
 from cellapp.estimation.readings.readings import SAME_STOP_RAD, lost_points
 from cellapp.ground.errors import InputError

@@ -15,7 +15,6 @@ from pathlib import Path
 
 import numpy as np
 
-from cellapp.cell.run.arm_cells import TableSpec
 from cellapp.cell.run.columns import (
     BESIDE,
     EXAMPLES,
@@ -43,6 +42,7 @@ from cellapp.cell.run.csv_text import CsvFile, Problems, read_header, short
 from cellapp.cell.run.orientation_columns import QUATERNION, Written, written_orientation
 from cellapp.cell.run.records import RecordingState
 from cellapp.cell.run.stream_csv import StreamTable, read_stream_table
+from cellapp.cell.run.table_spec import TableSpec
 from cellapp.estimation.readings.columns import SPLITS
 from cellapp.ground.counting import did_you_mean
 from cellapp.ground.errors import InputError

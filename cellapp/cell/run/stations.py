@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from cellapp.cell.run.arm_cells import ArmCells, TableSpec
 from cellapp.cell.run.csv_text import CsvTable, Problems, read_csv_table
 from cellapp.cell.run.sqlite_file import select_document
+from cellapp.cell.run.table_spec import ArmCells, TableSpec
 from cellapp.estimation.calibration.station_location import NestPoint, StationTie, TooFewNests, tie_stations
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.readings.columns import COLUMNS, Column

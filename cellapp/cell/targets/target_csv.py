@@ -26,8 +26,8 @@ from pathlib import Path
 from typing import Any
 
 from cellapp.cell.profile.messages import KeyPath, Spot, YamlDocument
-from cellapp.cell.run.arm_cells import Named, TableSpec
 from cellapp.cell.run.csv_text import COMMENTS, CsvTable, Problems, read_csv_table, unquoted_text
+from cellapp.cell.run.table_spec import Named, TableSpec
 from cellapp.estimation.readings.columns import Column
 from cellapp.ground.counting import did_you_mean
 

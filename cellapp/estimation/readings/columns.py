@@ -54,12 +54,12 @@ class Fault:
 
 @dataclass(frozen=True)
 class Column:
-    """One quantity of a reading.
+    """One quantity of a reading, or of a row of another table that a ``TableSpec`` describes.
 
     Attributes
     ----------
     name : str
-        Attribute of ``Readings``.
+        Attribute of ``Readings``; of targets, the key in YAML.
     unit : str
         SI unit, or "" for a number or word without one.
     csv : tuple of str
