@@ -33,7 +33,7 @@ from cellapp.cell.driving.motion import WRONG_TARGET_M, Mover, sweep_sentence
 from cellapp.cell.driving.reaction import StopCause, StopReaction
 from cellapp.cell.planning.sweeps import PlannedSweep, read_sweeps, refuse_sweep
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.columns import POINT, stems
+from cellapp.cell.run.columns import POINT
 from cellapp.cell.run.recordings import recording_states, store_recording
 from cellapp.cell.run.recordings_csv import RecordedStreams, checked_recording
 from cellapp.cell.run.stream_csv import StreamTable
@@ -441,7 +441,7 @@ def _joint_columns(time_s: Array, **tables: Array | None) -> dict[str, Array]:
     columns = {"time_s": time_s}
     for stem, table in tables.items():
         if table is not None:
-            columns |= dict(zip(stems("joints", table.shape[1], table.shape[1])[stem], table.T, strict=True))
+            columns |= {f"{stem}{joint}": values for joint, values in enumerate(table.T, start=1)}
     return columns
 
 

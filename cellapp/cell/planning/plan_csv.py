@@ -21,27 +21,35 @@ Numbers are written in their shortest exact form: reading a file again gives the
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from cellapp.cell.planning.planned_stops import LONGEST_DWELL_S, Configuration, PlannedStops, straight_stops
-from cellapp.cell.run.csv_text import NUMBER, WHOLE, CsvTable, Problems, read_csv_table, short, write_csv
+from cellapp.cell.run.csv_text import CsvTable, Problems, read_csv_table, short, write_csv
+from cellapp.cell.run.table_spec import ArmCells, TableSpec
+from cellapp.estimation.readings.columns import Column
 from cellapp.ground.counting import did_you_mean
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs
-from cellapp.ground.profile import Arm, Profile
+from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.transforms import Array
 
 STOP, APPROACH = "stop", "approach"
 _POINT = re.compile(r"stop|approach|leg([1-9][0-9]{0,2})")
 _KEYS = ("configuration", "arm", "point")
 _OF_STOP = ("dwell_s", "block", "repeat_of", "frozen", "load")
+_PLANS = TableSpec(
+    (
+        *(Column(name, "", (name,), required=True) for name in _KEYS),
+        Column("q", "rad", ("q",), "joints", required=True),
+        *(Column(name, "", (name,)) for name in _OF_STOP),
+    )
+)
 _WORDS = {"no": False, "yes": True}
 _ROUNDING_RAD = 1e-9
 """Tolerance of joint limits for rounding, as in the safety gate."""
@@ -86,7 +94,7 @@ def read_plan_csv(path: Path, profile: Profile) -> PlanFile:
     """
     table = read_csv_table(Path(path), "planned stops, as 'cellapp export DIR --plan FILE' writes it")
     problems = Problems(table.place)
-    _check_header(table, profile, problems)
+    _check_header(table, max(len(arm.type.joints) for arm in profile.arms.values()), problems)
     points = _Points(table, profile, problems)
     problems.check()
     if not points.by_stop:
@@ -123,117 +131,91 @@ def _rows(stops: PlannedStops, joints: int, of_stops: int) -> Iterator[list[str]
 # -- reading ----------------------------------------------------------------------------------------------------------
 
 
-def _check_header(table: CsvTable, profile: Profile, problems: Problems) -> None:
-    names = table.names
-    required = [*_KEYS, *_joint_columns(max(len(arm.type.joints) for arm in profile.arms.values()))]
-    known = [*required, *_OF_STOP]
-    for name in required:
-        if name not in names:
-            problems.add(1, name, "the column is missing")
-    for name in names:
+def _check_header(table: CsvTable, joints: int, problems: Problems) -> None:
+    for name, _ in _PLANS.missing(table.names, joints):
+        problems.add(1, name, "the column is missing")
+    known = _PLANS.names(joints)
+    for name in table.names:
         if name not in known:
             hint = did_you_mean(name, known, "is '{}' meant?", otherwise=f"columns are {', '.join(known)}")
             problems.add(1, name, f"the column is unknown; {hint}")
     problems.check()
 
 
-def _joint_columns(joints: int) -> list[str]:
-    return [f"q{joint + 1}" for joint in range(joints)]
-
-
-class _PlanPoint(NamedTuple):
-    """One row: joint positions, and the filled ones of the cells that belong to rows ``stop`` only."""
-
-    line: int
-    q: Array
-    of_stop: Mapping[str, Any]
-
-
 class _Points:
     """The rows of a file by configuration, arm and point; errors are collected in ``problems``."""
 
     def __init__(self, table: CsvTable, profile: Profile, problems: Problems) -> None:
-        self._table, self._profile, self._problems = table, profile, problems
-        self.by_stop: dict[int, dict[str, dict[str, _PlanPoint]]] = {}
+        self._profile, self._problems = profile, problems
+        self._cells = cells = ArmCells(table, range(len(table.lines)), problems, every=True)
+        self.by_stop: dict[int, dict[str, dict[str, int]]] = {}
         self.first_line: dict[int, int] = {}
-        for index, line in enumerate(table.lines):
-            self._add(line, {name: cells[index].strip() for name, cells in table.cells.items()})
+        self._q: dict[int, Array] = {}
+        self._of_stop: dict[str, dict[int, Any]] = {name: {} for name in _OF_STOP}
+        numbers = cells.whole_numbers("configuration", least=0).tolist()
+        arms, points = ([cell.strip() for cell in cells.texts(name)] for name in ("arm", "point"))
+        for row, (arm, point) in enumerate(zip(arms, points, strict=True)):
+            if arm not in profile.arms:
+                what = f"arm '{short(arm)}' is not in the profile" if arm else "the value is missing"
+                cells.refuse(row, "arm", f"{what}; arms are {', '.join(profile.arms)}")
+            if not _POINT.fullmatch(point):
+                cells.refuse(row, "point", f"expected leg1, leg2, ..., approach or stop, got '{short(point)}'")
+        keyed = self._sound(cells.rows)
+        for arm in profile.arms:
+            own = [row for row in keyed if arms[row] == arm]
+            self._read_joints(arm, replace(cells, rows=own))
+            for name in (name for name in _OF_STOP if name in table.cells):
+                self._read_of_stop(name, [row for row in own if table.cells[name][row].strip()], points)
+        for row in self._sound(keyed):
+            number, arm, point = numbers[row], arms[row], points[row]
+            self.first_line.setdefault(number, cells.line(row))
+            first = self.by_stop.setdefault(number, {}).setdefault(arm, {}).setdefault(point, row)
+            if first != row:
+                text = f"{number} of arm {arm} has a row '{point}' in line {cells.line(first)} already; keep one"
+                cells.refuse(row, "configuration", text)
 
     # -- rows ----------------------------------------------------------------------------------------------------------
 
-    def _add(self, line: int, cells: Mapping[str, str]) -> None:
-        before = self._problems.count
-        number = self._whole(line, "configuration", cells["configuration"])
-        name, point = cells["arm"], cells["point"]
-        if name not in self._profile.arms:
-            what = f"arm '{short(name)}' is not in the profile" if name else "the value is missing"
-            self._problems.add(line, "arm", f"{what}; arms are {', '.join(self._profile.arms)}")
-        if not _POINT.fullmatch(point):
-            self._problems.add(line, "point", f"expected leg1, leg2, ..., approach or stop, got '{short(point)}'")
-        if self._problems.count > before:
-            return
-        q = self._joint_positions(line, cells, name, self._profile.arms[name])
-        of_stop = {one: self._of_stop(line, one, cells[one], point) for one in _OF_STOP if cells.get(one)}
-        if self._problems.count > before:
-            return
-        points = self.by_stop.setdefault(number, {}).setdefault(name, {})
-        self.first_line.setdefault(number, line)
-        if point in points:
-            text = f"{number} of arm {name} has a row '{point}' in line {points[point].line} already; keep one"
-            self._problems.add(line, "configuration", text)
-        else:
-            points[point] = _PlanPoint(line, np.array(q, dtype=np.float64), of_stop)
+    def _sound(self, rows: Sequence[int]) -> list[int]:
+        """Return those of the rows in which nothing is wrong so far."""
+        wrong = {line for line, _ in self._problems.found}
+        return [row for row in rows if self._cells.line(row) not in wrong]
 
-    def _joint_positions(self, line: int, cells: Mapping[str, str], name: str, arm: Arm) -> list[float]:
-        limits = arm.joint_limits
-        found = []
-        for joint, (low, high) in enumerate(limits):
-            column = f"q{joint + 1}"
-            found.append(value := self._number(line, column, cells[column]))
-            if not low - _ROUNDING_RAD <= value <= high + _ROUNDING_RAD:
-                text = f"{value:g} rad is outside the limits {low:g} to {high:g} rad of arm {name}"
-                self._problems.add(line, column, text)
-        for column in _joint_columns(len(self._table.names))[len(limits) :]:
-            if cells.get(column):
-                self._problems.add(line, column, f"there is a value, but arm {name} has {len(limits)} joints")
-        return found
+    def _read_joints(self, name: str, cells: ArmCells) -> None:
+        limits, q = self._profile.arms[name].joint_limits, []
+        for joint, (low, high) in enumerate(limits, start=1):
+            q.append(values := cells.numbers(f"q{joint}", required=True))
+            within = (low - _ROUNDING_RAD <= values) & (values <= high + _ROUNDING_RAD)
+            for index in np.flatnonzero(~within).tolist():
+                text = f"{values[index]:g} rad is outside the limits {low:g} to {high:g} rad of arm {name}"
+                cells.refuse(index, f"q{joint}", text)
+        for column in _PLANS.beyond(sorted(cells.table.names), len(limits)):
+            for index, text in enumerate(cells.texts(column)):
+                if text.strip():
+                    cells.refuse(index, column, f"there is a value, but arm {name} has {len(limits)} joints")
+        self._q |= zip(cells.rows, np.column_stack(q), strict=True)
 
-    def _of_stop(self, line: int, column: str, text: str, point: str) -> float | int | bool | None:
-        """Parse a filled cell that describes a stop."""
-        if point != STOP:
-            self._problems.add(line, column, f"there is a value, but it belongs to the row '{STOP}' of this arm")
-            return None
-        if column == "dwell_s":
-            dwell_s = self._number(line, column, text)
-            if not 0.0 <= dwell_s <= LONGEST_DWELL_S:
-                self._problems.add(line, column, f"expected 0 to {LONGEST_DWELL_S:g} s, got {dwell_s:g}")
-            return dwell_s
+    def _read_of_stop(self, column: str, rows: Sequence[int], points: Sequence[str]) -> None:
+        """Parse the filled cells of an arm that describe a stop."""
+        for row in rows:
+            if points[row] != STOP:
+                text = f"there is a value, but it belongs to the row '{STOP}' of this arm"
+                self._cells.refuse(row, column, text)
+        cells = replace(self._cells, rows=[row for row in rows if points[row] == STOP])
         if column == "frozen":
-            if text.lower() not in _WORDS:
-                self._problems.add(line, column, f"expected yes or no, got '{short(text)}'")
-            return _WORDS.get(text.lower())
-        number, most = self._whole(line, column, text), self._profile.loads - 1
-        if column == "load" and number > most:
-            self._problems.add(
-                line, column, f"there is no load {number}; with arms.NAME.payloads there are 0 to {most}"
-            )
-        return number
-
-    def _number(self, line: int, column: str, text: str) -> float:
-        """Parse a finite number; NaN with a problem for another text."""
-        value = float(text) if NUMBER.fullmatch(text) else math.nan
-        if not math.isfinite(value):
-            what = f"expected a finite number such as 0.25, got '{short(text)}'" if text else "the value is missing"
-            self._problems.add(line, column, what)
-        return value
-
-    def _whole(self, line: int, column: str, text: str) -> int:
-        """Parse a whole number from 0; -1 with a problem for another text."""
-        if WHOLE.fullmatch(text) and int(text) >= 0:
-            return int(text)
-        what = f"expected a whole number from 0, got '{short(text)}'" if text else "the value is missing"
-        self._problems.add(line, column, what)
-        return -1
+            texts = [text.strip() for text in cells.texts(column)]
+            found = [_WORDS.get(text.lower()) for text in texts]
+            cells.expect(column, texts, np.array([one is not None for one in found], dtype=np.bool_), "yes or no")
+        elif column == "dwell_s":
+            found = cells.numbers(column, required=True).tolist()
+            for index in (index for index, one in enumerate(found) if not 0.0 <= one <= LONGEST_DWELL_S):
+                cells.refuse(index, column, f"expected 0 to {LONGEST_DWELL_S:g} s, got {found[index]:g}")
+        else:
+            found, most = cells.whole_numbers(column, least=0).tolist(), self._profile.loads - 1
+            for index in (index for index, one in enumerate(found) if column == "load" and one > most):
+                text = f"there is no load {found[index]}; with arms.NAME.payloads there are 0 to {most}"
+                cells.refuse(index, column, text)
+        self._of_stop[column] |= zip(cells.rows, found, strict=True)
 
     # -- stops ---------------------------------------------------------------------------------------------------------
 
@@ -247,11 +229,11 @@ class _Points:
         place = {number: stop for stop, number in enumerate(numbers)}
         arms = list(self._profile.arms)
         rows = {name: [self.by_stop[number][name] for number in numbers] for name in arms}
-        repeats = [self._agreed(number, "repeat_of") for number in numbers]
+        repeats, dwells = [self._agreed(number, "repeat_of") for number in numbers], self._of_stop["dwell_s"]
         return PlannedStops(
-            q={name: np.array([row[STOP].q for row in rows[name]]) for name in arms},
-            approach_from={name: np.array([_approach(row) for row in rows[name]]) for name in arms},
-            dwell_s={name: np.array([row[STOP].of_stop.get("dwell_s", 0.0) for row in rows[name]]) for name in arms},
+            q={name: np.array([self._q[row[STOP]] for row in rows[name]]) for name in arms},
+            approach_from={name: np.array([self._approach(row) for row in rows[name]]) for name in arms},
+            dwell_s={name: np.array([dwells.get(row[STOP], 0.0) for row in rows[name]]) for name in arms},
             legs=tuple(self._legs(number) for number in numbers),
             block=np.array([self._agreed(number, "block") or 0 for number in numbers], dtype=np.intp),
             repeat_of=np.array([-1 if one is None else place[one] for one in repeats], dtype=np.intp),
@@ -272,7 +254,7 @@ class _Points:
                 line, "point", f"configuration {number} has no leg{missing}; number legs from 1, no gaps"
             )
         for column in _OF_STOP[1:]:  # each arm has a dwell of its own
-            said = {points[STOP].of_stop.get(column) for points in arms.values() if STOP in points} - {None}
+            said = {self._of_stop[column].get(points[STOP]) for points in arms.values() if STOP in points} - {None}
             if len(said) > 1:
                 self._problems.add(line, column, f"the arms of configuration {number} have different values")
         source = self._agreed(number, "repeat_of")
@@ -282,20 +264,20 @@ class _Points:
 
     def _agreed(self, number: int, column: str) -> int | None:
         """Return the value that the rows of a stop agree on; None if it is not given."""
-        said = (points[STOP].of_stop.get(column) for points in self.by_stop[number].values() if STOP in points)
-        return next((one for one in said if one is not None), None)
+        said = self._of_stop[column]
+        rows = (points[STOP] for points in self.by_stop[number].values() if STOP in points)
+        return next((said[row] for row in rows if row in said), None)
 
     def _legs(self, number: int) -> tuple[Configuration, ...]:
         arms = self.by_stop[number]
         legs = []
         for leg in range(1, 1000):
-            rows = {name: arms[name][f"leg{leg}"].q for name in self._profile.arms if f"leg{leg}" in arms[name]}
+            rows = {name: self._q[arms[name][f"leg{leg}"]] for name in self._profile.arms if f"leg{leg}" in arms[name]}
             if not rows:
                 break
             legs.append(rows)
         return tuple(legs)
 
-
-def _approach(points: Mapping[str, _PlanPoint]) -> Array:
-    """Return where the last motion of an arm begins (N,); NaN if it is not planned."""
-    return points[APPROACH].q if APPROACH in points else np.full_like(points[STOP].q, np.nan)
+    def _approach(self, points: Mapping[str, int]) -> Array:
+        """Return where the last motion of an arm begins (N,); NaN if it is not planned."""
+        return self._q[points[APPROACH]] if APPROACH in points else np.full_like(self._q[points[STOP]], np.nan)

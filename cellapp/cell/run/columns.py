@@ -23,8 +23,9 @@ from cellapp.cell.run.csv_text import is_number
 from cellapp.cell.run.orientation_columns import QUATERNION, Written
 from cellapp.cell.run.records import StreamState
 from cellapp.cell.run.stream_csv import StreamTable
+from cellapp.cell.run.table_spec import TableSpec
 from cellapp.estimation.motion.streams import JointStream, PointStream
-from cellapp.estimation.readings.columns import COLUMNS, beyond_limits
+from cellapp.estimation.readings.columns import COLUMNS, Column, beyond_limits
 from cellapp.ground.errors import InputError
 from cellapp.ground.grouping import grouped
 
@@ -418,11 +419,18 @@ Columns = Mapping[str, NDArray[np.float64]]
 
 TEXTS = ("recording", "arm", "split")
 POINT = ("x_m", "y_m", "z_m")
-OPTIONAL_OF_JOINTS = ("qd", "joint_temperature")
 BESIDE = "other_q"
 """Joint positions of the other arm of the cell, if it moved meanwhile."""
 
-_OF_POINTS = [column for column in COLUMNS if column.csv in (POINT, ("sigma_m",), QUATERNION)]
+_STAMPS = Column("time_s", "s", ("time_s",), required=True)
+POSITIONS, _TEMPERATURES = (column for column in COLUMNS if column.name in ("q", "joint_temperature_c"))
+_SPEEDS = Column("qd", "rad/s", ("qd",), "joints")
+STREAMS: Mapping[Kind, TableSpec] = {
+    "joints": TableSpec((_STAMPS, POSITIONS, _SPEEDS, _TEMPERATURES)),
+    "points": TableSpec((_STAMPS, *(its for its in COLUMNS if its.csv in (POINT, ("sigma_m",), QUATERNION)))),
+}
+"""Numbers of a stream; its second quantity is the one that is recorded."""
+OF_OTHER_ARM = TableSpec((Column(BESIDE, "rad", (BESIDE,), "joints"),))
 _LEAST_ROWS = 20
 _SLOWEST_HZ, _FASTEST_HZ = 2.0, 20_000.0
 """Plausible sampling rates [Hz]; outside these, timestamps are not in seconds."""
@@ -454,15 +462,6 @@ class Implausible:
     row: int | None
     column: str
     text: str
-
-
-def stems(kind: Kind, joints: int, others: int = 0) -> dict[str, tuple[str, ...]]:
-    """Return quantity -> its columns; the first two of a kind are required. ``others``: joints of the other arm."""
-    if kind == "points":
-        return {"time_s": ("time_s",), "p_M": POINT, "sigma_m": ("sigma_m",), "quaternion": QUATERNION}
-    per_joint = {stem: tuple(f"{stem}{j}" for j in range(1, joints + 1)) for stem in ("q", *OPTIONAL_OF_JOINTS)}
-    beside = tuple(f"{BESIDE}{j}" for j in range(1, others + 1))
-    return {"time_s": ("time_s",), **per_joint, BESIDE: beside}
 
 
 def state_of(time_s: NDArray[np.float64], lost: int = 0) -> StreamState:
@@ -533,9 +532,9 @@ def joint_faults(columns: Columns, limits: NDArray[np.float64], *, dated: bool =
 
     ``dated``: the timestamps are dates or times of day in the file, so that their unit is certain.
     """
-    names = stems("joints", len(limits))
-    q = _matrix(columns, names["q"])
-    wrong = [*_stamp_faults(columns["time_s"], dated), *_missing(columns, names["q"]), *_missing(columns, names["qd"])]
+    positions, speeds = POSITIONS.csv_names(len(limits)), _SPEEDS.csv_names(len(limits))
+    q = _matrix(columns, positions)
+    wrong = [*_stamp_faults(columns["time_s"], dated), *_missing(columns, positions), *_missing(columns, speeds)]
     beyond = beyond_limits(q, limits, _DEGREES)
     wrong += [Implausible(one.row, f"q{(one.place or 0) + 1}", one.text) for one in beyond]
     yield from wrong
@@ -549,20 +548,20 @@ def joint_faults(columns: Columns, limits: NDArray[np.float64], *, dated: bool =
     if fast[joint] > _FASTEST_RAD_S:
         text = f"the joint rotates at {fast[joint]:.3g} rad/s; expected radians and seconds; {_DEGREES}"
         yield Implausible(None, f"q{joint + 1}", text)
-    fastest = float(np.abs(_matrix(columns, names["qd"])).max(initial=0.0))
+    fastest = float(np.abs(_matrix(columns, speeds)).max(initial=0.0))
     if float(np.ptp(q, axis=0).max()) < _REST_RAD:
         text = f"no joint moves by {_REST_RAD:g} rad; expected a recording of a motion"
         if fastest > _REST_RAD_S:
             text = f"{text}, as qd1.. reach {fastest:.3g} rad/s: give the joint positions of that motion"
         yield Implausible(None, "q1..", text)
-    elif names["qd"][0] in columns:
-        yield from _speed_unit(columns, names["qd"], q)
+    elif speeds[0] in columns:
+        yield from _speed_unit(columns, speeds, q)
 
 
 def beside_faults(columns: Columns, limits: NDArray[np.float64]) -> Iterator[Implausible]:
     """Yield what is implausible in joint positions of the other arm, whose joints have these ``limits`` (K, 2) [rad];
     rows without any are allowed: it was not recorded then."""
-    names = tuple(f"{BESIDE}{joint}" for joint in range(1, len(limits) + 1))
+    names = OF_OTHER_ARM.names(len(limits))
     if not names or not all(name in columns for name in names):
         return
     q = _matrix(columns, names)
@@ -579,7 +578,7 @@ def point_faults(columns: Columns, *, dated: bool = False) -> Iterator[Implausib
     """Yield what is implausible in points; ``dated`` as in ``joint_faults``."""
     yield from _stamp_faults(columns["time_s"], dated)
     yield from _missing(columns, ("sigma_m", *QUATERNION))
-    for column in _OF_POINTS:
+    for column in STREAMS["points"].columns:
         values = _matrix(columns, column.csv)
         if values.size and column.check is not None and (fault := column.check(values)) is not None:
             hint = "; if these are millimetres, name the columns x_mm, y_mm, z_mm" if column.csv == POINT else ""
@@ -591,13 +590,12 @@ def point_faults(columns: Columns, *, dated: bool = False) -> Iterator[Implausib
 
 def joint_stream(columns: Columns, joints: int) -> JointStream:
     """Convert the samples of an arm for estimation."""
-    names = stems("joints", joints)
     beside = [name for name in columns if name.startswith(BESIDE)]
     return JointStream(
         time_s=columns["time_s"],
-        q=_matrix(columns, names["q"]),
-        qd=_matrix(columns, names["qd"]) if names["qd"][0] in columns else None,  # of all joints, or of none
-        other_q=_matrix(columns, tuple(beside)) if beside else None,
+        q=_matrix(columns, POSITIONS.csv_names(joints)),
+        qd=_matrix(columns, _SPEEDS.csv_names(joints)) if "qd1" in columns else None,  # of all joints, or of none
+        other_q=_matrix(columns, beside) if beside else None,
     )
 
 
@@ -611,7 +609,7 @@ def point_stream(columns: Columns, splits: tuple[str, ...] | None) -> PointStrea
     )
 
 
-def _matrix(columns: Columns, names: tuple[str, ...]) -> NDArray[np.float64]:
+def _matrix(columns: Columns, names: Sequence[str]) -> NDArray[np.float64]:
     return np.column_stack([columns[name] for name in names if name in columns] or [np.empty((0, 0))])
 
 

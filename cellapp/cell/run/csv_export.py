@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cellapp.cell.run.arm_cells import is_known
 from cellapp.cell.run.columns import Kind
 from cellapp.cell.run.csv_text import CsvTable, quoted_text, table_in_memory, whole, write_csv
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.recordings import read_stream, recording_states
 from cellapp.cell.run.records import RecordingState
+from cellapp.cell.run.table_spec import READINGS
 from cellapp.estimation.readings.columns import COLUMNS, CONFIGURATION, Column, Values
 from cellapp.estimation.readings.readings import Readings
 from cellapp.ground.counting import did_you_mean
@@ -63,7 +63,7 @@ def _header(arms: Mapping[str, Readings], imported: Sequence[str]) -> list[str]:
         given = column.required or any(column.is_given(getattr(readings, column.name)) for readings in arms.values())
         names += [name for name in column.csv_names(joints) if given or name in imported]
     names.insert(1, "arm")
-    extras = [name for name in imported if not is_known(name)]
+    extras = [name for name in imported if not READINGS.find(name)]
     extras += [name for readings in arms.values() for name in readings.extras]
     return [*names, *dict.fromkeys(extras)]
 

@@ -14,7 +14,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.run.arm_cells import ArmCells, is_known, not_per_joint, read_arm, stem_and_joint
 from cellapp.cell.run.csv_text import CsvTable, Problems, read_csv_table
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.measurement_order import in_measured_order, order_fault, order_sentences, write_in_order
@@ -28,9 +27,10 @@ from cellapp.cell.run.stations import (
     tie_sentences,
     twice_at_a_stop,
 )
+from cellapp.cell.run.table_spec import READINGS, ArmCells, read_arm
 from cellapp.estimation.calibration.quantities import repeats_words
 from cellapp.estimation.calibration.station_location import COMPUTED, explained, wrong_factory
-from cellapp.estimation.readings.columns import COLUMNS, OF_SOCKETS
+from cellapp.estimation.readings.columns import OF_SOCKETS
 from cellapp.estimation.readings.readings import Readings, lost_points, one_pose_a_stop, smr_names
 from cellapp.ground.counting import did_you_mean
 from cellapp.ground.errors import InputError
@@ -249,19 +249,16 @@ def arms_of_table(
 
 def _check_header(table: CsvTable, problems: Problems) -> None:
     names = table.names
-    unknown = [name for name in names if not is_known(name)]
+    unknown = [name for name in names if not READINGS.find(name)]
     if OF_SOCKETS in names:
         problems.add(1, OF_SOCKETS, f"{removed_readings(OF_SOCKETS)}; rename the column if it is something else")
         problems.check()
-    for name in ("arm", *(name for column in COLUMNS if column.required for name in column.csv_names(1))):
-        if name not in names:
+    for name, column in sorted(READINGS.missing(names), key=lambda one: not one[1].required):
+        if column.required:
             hint = did_you_mean(name, unknown, "; is '{}' meant? Its name and unit must be as written here")
             problems.add(1, name, f"the column is missing{hint}")
-    for column in not_per_joint():
-        if not column.required and any(name in names for name in column.csv):
-            for name in column.csv:
-                if name not in names:
-                    problems.add(1, name, f"the column is missing; give all of {', '.join(column.csv)} or none")
+        elif column.shape != "joints":
+            problems.add(1, name, f"the column is missing; give all of {', '.join(column.csv)} or none")
     problems.check()
     if not table.lines:
         raise InputError(f"{table.place(1)}: there is a header row but no reading; expected a row per arm per stop")
@@ -269,12 +266,10 @@ def _check_header(table: CsvTable, problems: Problems) -> None:
 
 def _notes(table: CsvTable, joint_counts: Mapping[str, int], readings: Mapping[str, Readings]) -> list[str]:
     notes = []
-    known = sorted({"arm", *(name for column in not_per_joint() for name in column.csv)})
-    most = max(joint_counts.values())
-    unknown = {name: did_you_mean(name, known, "{}", cutoff=0.75) for name in table.names if not is_known(name)}
+    known, beyond = sorted(READINGS.by_name), READINGS.beyond(table.names, max(joint_counts.values()))
+    unknown = {name: did_you_mean(name, known, "{}", cutoff=0.75) for name in table.names if not READINGS.find(name)}
     for name in table.names:
-        found = stem_and_joint(name)
-        if found is not None and found[1] > most:
+        if name in beyond:
             notes.append(f"{table.path}: column '{name}' is empty and no arm has that joint; it is not imported")
         if close := unknown.get(name):
             notes.append(f"{table.path}: column '{name}' is unknown (is '{close}' meant?); it is kept and not used")

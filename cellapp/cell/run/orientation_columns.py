@@ -15,8 +15,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from cellapp.cell.run.arm_cells import ArmCells
 from cellapp.cell.run.csv_text import CsvTable, Problems
+from cellapp.cell.run.table_spec import ArmCells
 from cellapp.estimation.readings.columns import Fault
 from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.transforms import Array

@@ -17,7 +17,6 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.run.arm_cells import is_known, not_per_joint
 from cellapp.cell.run.columns import (
     EXAMPLES,
     FRACTION,
@@ -35,6 +34,7 @@ from cellapp.cell.run.columns import (
 )
 from cellapp.cell.run.csv_text import NUMBER, CsvTable, Problems, is_number, read_header, short, stamp_seconds
 from cellapp.cell.run.orientation_columns import Written, with_quaternions, written_orientation
+from cellapp.cell.run.table_spec import READINGS
 from cellapp.estimation.readings.columns import OF_SOCKETS
 from cellapp.estimation.readings.readings import SAME_STOP_RAD, lost_points
 from cellapp.ground.errors import InputError
@@ -45,7 +45,7 @@ _LENGTHS: Mapping[LengthUnit, float] = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "cm": 
 _Unit = TypeVar("_Unit")
 Choose = Callable[[str, tuple[str, ...]], str]
 """(question, possible answers) -> the answer of a person; "" if nobody can be asked."""
-_OWN = {name for column in not_per_joint() for name in column.csv} | {"arm"}
+_OWN = READINGS.by_name
 """Cellapp's own column names keep their meaning; names of joint positions state no unit."""
 _LEAST_ROWS = 3
 _RIGID, _APART = 0.05, 0.01
@@ -131,7 +131,9 @@ class Recorded:
     def unknown(self) -> tuple[str, ...]:
         """Columns that are not used, by their names in the file."""
         others = self.known.others
-        return tuple(others.get(name, name) for name in self.table.names if name not in _MADE and not is_known(name))
+        return tuple(
+            others.get(name, name) for name in self.table.names if name not in _MADE and not READINGS.find(name)
+        )
 
     def in_si(self, angles: AngleUnit, lengths: LengthUnit) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return joint positions (n, N) [rad] and points (n, 3) [m]."""
@@ -368,12 +370,12 @@ def converted(
     texts = {name: tuple("" if math.isnan(one) else repr(one) for one in its.tolist()) for name, its in made.items()}
     columns = dict[str, tuple[str, ...]]()
     for name, its in table.cells.items():
-        used = name in made or (is_known(name) and name not in ("time_s", OF_SOCKETS)) or name not in others
+        used = name in made or (READINGS.find(name) and name not in ("time_s", OF_SOCKETS)) or name not in others
         if name not in parts:
             columns[f"{name} (not used)" if name == OF_SOCKETS else name if used else others[name]] = its
     given = {"configuration": tuple(map(str, _stops(q, table.cells.get("smr")))), "arm": (arm,) * n}
     whole = {name: its for name, its in given.items() if name not in columns} | columns | texts
-    whole = dict(sorted(whole.items(), key=lambda one: not is_known(one[0])))
+    whole = dict(sorted(whole.items(), key=lambda one: not READINGS.find(one[0])))
     return tuple(whole), list(zip(*whole.values(), strict=True))
 
 

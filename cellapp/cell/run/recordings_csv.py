@@ -19,8 +19,10 @@ from cellapp.cell.run.columns import (
     BESIDE,
     EXAMPLES,
     KINDS,
-    OPTIONAL_OF_JOINTS,
+    OF_OTHER_ARM,
     POINT,
+    POSITIONS,
+    STREAMS,
     TEXTS,
     UNITS_OF_TIME,
     Implausible,
@@ -32,7 +34,6 @@ from cellapp.cell.run.columns import (
     joint_faults,
     point_faults,
     state_of,
-    stems,
     understood,
     without_part_of_orientation,
 )
@@ -41,6 +42,7 @@ from cellapp.cell.run.csv_text import CsvFile, Problems, read_header, short
 from cellapp.cell.run.orientation_columns import QUATERNION, Written, written_orientation
 from cellapp.cell.run.records import RecordingState
 from cellapp.cell.run.stream_csv import StreamTable, read_stream_table
+from cellapp.cell.run.table_spec import TableSpec
 from cellapp.estimation.readings.columns import SPLITS
 from cellapp.ground.counting import did_you_mean
 from cellapp.ground.errors import InputError
@@ -158,15 +160,15 @@ def _read_file(
     """Read the columns of a file in SI units; return also the name and the unit of a clock whose unit it does not say,
     and how foreign names and units were interpreted."""
     what = "joint positions" if kind == "joints" else "points"
-    file, quantities = read_header(path, what, EXAMPLES[kind]), stems(kind, max(joints), max(joints))
-    numbers = {name for its in quantities.values() for name in its}
+    file, most = read_header(path, what, EXAMPLES[kind]), max(joints)
+    numbers = {*STREAMS[kind].names(most), *(OF_OTHER_ARM.names(most) if kind == "joints" else ())}
     written, notes = written_orientation(file.names) if kind == "points" else (None, [])
     rotated = () if written is None else written.columns
     row = next((cells for _, cells in file.rows()), [])
     known = understood(file.names, kind, (*numbers, *TEXTS), written, taken, row)
-    _check_columns(file, kind, known, quantities)
+    _check_columns(file, kind, known, most)
     numbers |= {*rotated, *known.others}
-    required = {"time_s", *(name for name in quantities.get("q", ())[: min(joints)] if name in known.names)}
+    required = {"time_s", *POSITIONS.csv_names(min(joints))} & {*known.names}
     table = read_stream_table(file, known.names, numbers=numbers, required=required, texts=TEXTS)
     if written is not None:
         table, notes = _with_quaternions(table, written), [f"{path}: {written.said}"]
@@ -193,10 +195,9 @@ def _with_quaternions(table: StreamTable, written: Written) -> StreamTable:
     return replace(table, columns=columns | dict(zip(QUATERNION, found.T, strict=True)))
 
 
-def _check_columns(file: CsvFile, kind: Kind, known: Understood, quantities: Mapping[str, tuple[str, ...]]) -> None:
+def _check_columns(file: CsvFile, kind: Kind, known: Understood, joints: int) -> None:
     """Refuse a file that lacks a required column, or has only some columns of a quantity."""
-    path, names, main = file.path, known.names, quantities["q" if kind == "joints" else "p_M"]
-    needed = ("time_s", *(main if kind == "points" else main[:1]))
+    path, names, main = file.path, known.names, STREAMS[kind].columns[1].csv_names(joints)
     other: Kind = "points" if kind == "joints" else "joints"
     there = understood(file.names, other, ()).names
     if not set(main) & set(names) and set(there) & {"q1", *POINT}:
@@ -205,19 +206,18 @@ def _check_columns(file: CsvFile, kind: Kind, known: Understood, quantities: Map
             f" {'points' if kind == 'joints' else 'joint positions'}: are --joints and --points swapped?"
         )
     problems = Problems(lambda line: f"{path}:{line}")
-    for name in needed:
-        if name not in names and name in known.doubled:
+    for name, column in STREAMS[kind].missing(names):
+        if column.required and name in known.doubled:
             problems.add(file.head, name, f"two columns may be it ({', '.join(known.doubled[name])}); {_TAKE}")
-        elif name not in names:
+        elif column.shape == "quaternion":
+            problems.add(file.head, name, f"the column is missing; give all of {', '.join(column.csv)} or none")
+            break  # the last quantity: one of its columns says it
+        elif column.required:
             meant = did_you_mean(name, file.names, " is '{}' meant?", cutoff=0.5)
             there_are = short(", ".join(file.names), _LONGEST_HEADER)
             problems.add(
                 file.head, name, f"the column is missing;{meant} rename the one that is it; the file has {there_are}"
             )
-    if kind == "points" and 0 < len(set(quantities["quaternion"]) & set(names)) < 4:
-        missing = next(name for name in quantities["quaternion"] if name not in names)
-        text = f"the column is missing; give all of {', '.join(quantities['quaternion'])} or none"
-        problems.add(file.head, missing, text)
     problems.check()
 
 
@@ -256,8 +256,7 @@ def checked_recording(
     known_limits = joint_limits(profile)
     limits, others = known_limits[key[0]], [name for name in known_limits if name != key[0]]
     beside = known_limits[others[0]] if len(others) == 1 else limits[:0]
-    quantities = stems("joints", len(limits), len(beside))
-    _check_joints(joints, dict.fromkeys(quantities, key[0]) | {BESIDE: "".join(others)}, quantities)
+    _check_joints(joints, ((STREAMS["joints"], key[0], len(limits)), (OF_OTHER_ARM, "".join(others), len(beside))))
     _refuse(joints, joint_faults(joints.columns, limits, dated=joints.dated))
     _refuse(joints, beside_faults(joints.columns, beside))
     p_M = np.column_stack([points.columns[name] for name in POINT])
@@ -270,8 +269,12 @@ def checked_recording(
         _refuse(points, [where])
     seen = points.take(np.flatnonzero(~lost)) if lost.any() else points
     _refuse(seen, point_faults(seen.columns, dated=seen.dated))
-    known = {"time_s", *TEXTS, *(name for its in quantities.values() for name in its)}
-    known |= {name for its in stems("points", 0).values() for name in its}
+    known = {
+        *TEXTS,
+        *STREAMS["joints"].names(len(limits)),
+        *OF_OTHER_ARM.names(len(beside)),
+        *STREAMS["points"].names(0),
+    }
     columns = dict.fromkeys([*joints.columns, *seen.columns])
     state = RecordingState(
         name=key[1],
@@ -279,25 +282,22 @@ def checked_recording(
         session=session,
         joints=state_of(joints.columns["time_s"]),
         points=state_of(seen.columns["time_s"], int(lost.sum())),
-        optional=tuple(stem for stem in (*OPTIONAL_OF_JOINTS, BESIDE) if f"{stem}1" in joints.columns)
+        optional=tuple(stem for stem in ("qd", "joint_temperature", BESIDE) if f"{stem}1" in joints.columns)
         + tuple(name for name in ("sigma_m", "quat_w", "split") if name in seen.columns),
         unknown=tuple(name for name in columns if name not in known),
     )
     return RecordedStreams(state, joints, seen)
 
 
-def _check_joints(table: StreamTable, arms: Mapping[str, str], quantities: Mapping[str, tuple[str, ...]]) -> None:
+def _check_joints(table: StreamTable, arms: Sequence[tuple[TableSpec, str, int]]) -> None:
     """Check that a quantity has a column for each joint of its arm, or none."""
     line, problems = 1 if table.file is None else table.file.head, Problems(lambda line: f"{table.path}:{line}")
-    for stem, names in quantities.items():
-        if stem == "q" or any(name in table.columns for name in names):
-            for name in names:
-                if name not in table.columns:
-                    problems.add(line, name, f"the column is missing; arm {arms[stem]} has {len(names)} joints")
-    for stem in ("q", BESIDE):
-        joints = len(quantities[stem])
+    for spec, arm, joints in arms:
+        for name, _ in spec.missing({*table.columns} - {*spec.beyond(table.columns, joints)}, joints):
+            problems.add(line, name, f"the column is missing; arm {arm} has {joints} joints")
+    for stem, (_, arm, joints) in zip(("q", BESIDE), arms, strict=True):
         if (more := f"{stem}{joints + 1}") in table.columns and joints and np.isfinite(table.columns[more]).any():
-            problems.add(line, more, f"there are values, but arm {arms[stem]} has {joints} joints in the profile")
+            problems.add(line, more, f"there are values, but arm {arm} has {joints} joints in the profile")
     problems.check()
 
 

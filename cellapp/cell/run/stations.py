@@ -10,21 +10,21 @@ from pathlib import Path
 
 import numpy as np
 
-from cellapp.cell.run.arm_cells import ArmCells
 from cellapp.cell.run.csv_text import CsvTable, Problems, read_csv_table
 from cellapp.cell.run.sqlite_file import select_document
+from cellapp.cell.run.table_spec import ArmCells, TableSpec
 from cellapp.estimation.calibration.station_location import NestPoint, StationTie, TooFewNests, tie_stations
 from cellapp.estimation.readings import Readings
-from cellapp.estimation.readings.columns import COLUMNS
+from cellapp.estimation.readings.columns import COLUMNS, Column
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.transforms import Array, apply, quaternions_of, rotations_of
 
 STATIONS_RESULT = "stations"
 """Name of the document in which a run keeps the poses of its stations; it is part of the file format."""
-_COLUMNS = ("station", "nest", "x_m", "y_m", "z_m")
-_SIGMA = "sigma_m"
 _AS_READINGS = [column for column in COLUMNS if column.name in ("p_M", "sigma_m")]
+_WORDS = [Column(name, "", (name,), dtype=str, required=True) for name in ("station", "nest")]
+_NESTS = TableSpec((*_WORDS, *_AS_READINGS))
 _SIGMA_M = 2e-5
 """Standard uncertainty of a nest that states none [m]."""
 _OFF = 6.0
@@ -46,9 +46,9 @@ def read_reference_nests(path: Path, readings: Mapping[str, Readings]) -> tuple[
     row = "a row per nest and station"
     table = read_csv_table(Path(path), "reference nests", row)
     problems = Problems(table.place)
-    for name in _COLUMNS:
-        if name not in table.names:
-            problems.add(1, name, f"the column is missing; expected {', '.join(_COLUMNS)} and perhaps {_SIGMA}")
+    *needed, sigma = _NESTS.by_name
+    for name, _ in _NESTS.missing(table.names):
+        problems.add(1, name, f"the column is missing; expected {', '.join(needed)} and perhaps {sigma}")
     problems.check()
     if not table.lines:
         raise InputError(f"{table.place(1)}: there is a header row but no nest; expected {row}")

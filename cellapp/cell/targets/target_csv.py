@@ -19,63 +19,48 @@ have the same unit, and so have all angles. A number gets the unit of its column
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from cellapp.cell.profile.messages import KeyPath, Spot, YamlDocument
 from cellapp.cell.run.csv_text import COMMENTS, CsvTable, Problems, read_csv_table, unquoted_text
+from cellapp.cell.run.table_spec import Named, TableSpec
+from cellapp.estimation.readings.columns import Column
 from cellapp.ground.counting import did_you_mean
 
-
-@dataclass(frozen=True)
-class _Column:
-    """Contents of a column: its name, its key in a target, its unit as written in YAML (empty: none)."""
-
-    name: str
-    path: KeyPath
-    unit: str = ""
-
-    @property
-    def vector(self) -> KeyPath:
-        """Key of the vector of which it is a component; empty for other columns."""
-        return self.path[:-1] if isinstance(self.path[-1], int) else ()
-
-
-_WORDS: Mapping[str, KeyPath] = {
-    "name": ("name",),
-    "arm": ("arm",),
-    "frame": ("frame",),
-    "partner_arm": ("partner", "arm"),
-    "partner_moves": ("partner", "moves"),
-}
-_UNITS_OF_ONE_ARM: Mapping[str, tuple[KeyPath, tuple[str, ...]]] = {
-    **{axis: (("position", place), ("mm", "m")) for place, axis in enumerate("xyz")},
-    **{name: (("rpy", place), ("deg", "rad")) for place, name in enumerate(("roll", "pitch", "yaw"))},
-    **{f"r{axis}": (("rotation_vector", place), ("deg", "rad")) for place, axis in enumerate("xyz")},
-    **{f"q{part}": (("quaternion", place), ("",)) for place, part in enumerate("wxyz")},
-    "payload": (("conditions", "payload"), ("kg",)),
-    "temperature": (("conditions", "temperature"), ("c",)),
-    "time": (("conditions", "time"), ("s",)),
-    "dwell": (("conditions", "dwell"), ("s",)),
-}
-_UNITS: Mapping[str, tuple[KeyPath, tuple[str, ...]]] = {
-    **_UNITS_OF_ONE_ARM,
-    "tolerance": (("tolerance",), ("mm", "m", "um")),
-    "orientation_tolerance": (("orientation_tolerance",), ("mrad", "rad", "deg")),
-    **{f"partner_{stem}": (("partner", *path), units) for stem, (path, units) in _UNITS_OF_ONE_ARM.items()},
-}
-"""Key in a target, and possible units, by the name of a column without its unit."""
-_COLUMNS: Mapping[str, _Column] = {
-    name: _Column(name, path, "degC" if unit == "c" else unit)
-    for stem, (path, units) in _UNITS.items()
-    for unit in units
-    for name in (f"{stem}_{unit}" if unit else stem,)
-}
-"""All columns of numbers, without those of each joint."""
-_PER_JOINT = re.compile(r"approach([1-9][0-9]*)")
+_OF_AN_ARM = (
+    Column("position", "m", ("x", "y", "z"), "point", required=True, units=("mm", "m")),
+    Column("rpy", "rad", ("roll", "pitch", "yaw"), "point", units=("deg", "rad")),
+    Column("rotation_vector", "rad", ("rx", "ry", "rz"), "point", units=("deg", "rad")),
+    Column("quaternion", "", ("qw", "qx", "qy", "qz"), "quaternion"),
+    Column("conditions.payload", "kg", ("payload",), units=("kg",)),
+    Column("conditions.temperature", "degC", ("temperature",), units=("c",)),
+    Column("conditions.time", "s", ("time",), units=("s",)),
+    Column("conditions.dwell", "s", ("dwell",), units=("s",)),
+)
+_TARGETS = TableSpec(
+    (
+        Column("name", "", ("name",), dtype=str, required=True),
+        Column("arm", "", ("arm",), dtype=str, required=True),
+        Column("partner.arm", "", ("partner_arm",), dtype=str, required=True),
+        Column("partner.moves", "", ("partner_moves",), dtype=str),
+        Column("frame", "", ("frame",), dtype=str),
+        *_OF_AN_ARM,
+        Column("tolerance", "m", ("tolerance",), units=("mm", "m", "um")),
+        Column("orientation_tolerance", "rad", ("orientation_tolerance",), units=("mrad", "rad", "deg")),
+        *(
+            replace(one, name=f"partner.{one.name}", csv=tuple(f"partner_{stem}" for stem in one.csv))
+            for one in _OF_AN_ARM
+        ),
+        Column("approach", "", ("approach",), "joints"),
+    )
+)
+"""Columns of targets; the name of a quantity is its key in YAML."""
+_OF_STEM = {one.column.csv[one.place]: one.column for one in _TARGETS.by_name.values() if one.column.dtype is not str}
+_IN_YAML = {"c": "degC"}
 _MIXED = {"position": "coordinates", "rpy": "angles", "rotation_vector": "angles"}
 """Quantities that must have the same unit throughout a file."""
 
@@ -110,14 +95,18 @@ def document_of_table(table: CsvTable, joints: Mapping[str, int]) -> YamlDocumen
         problems.check()
     document = YamlDocument({"schema": "cellapp-targets", "version": 1, "targets": []})
     document.places |= {("targets",): _spot(table, 1), (): _spot(table, 1)}
+    paths: dict[str, KeyPath] = {
+        name: (*its.column.name.split("."), *([] if its.column.shape == "scalar" else [its.place]))
+        for name, its in columns.items()
+    }
     for index in range(len(table.lines)):
-        document.data["targets"].append(_row(table, index, columns, joints))
+        document.data["targets"].append(_row(table, index, columns, paths, joints))
         at: KeyPath = ("targets", index)
         document.places[at] = _spot(table, table.lines[index], *at)
-        for column in columns:
-            document.places[*at, *column.path] = _spot(table, table.lines[index], *at, column.name)
-            for end in range(1, len(column.path)):
-                inside: KeyPath = (*at, *column.path[:end])
+        for name, path in paths.items():
+            document.places[*at, *path] = _spot(table, table.lines[index], *at, name)
+            for end in range(1, len(path)):
+                inside: KeyPath = (*at, *path[:end])
                 document.places[inside] = _spot(table, table.lines[index], *inside)
     return document
 
@@ -129,78 +118,65 @@ def _spot(table: CsvTable, line: int, *inside: str | int) -> Spot:
 # -- the header -------------------------------------------------------------------------------------------------------
 
 
-def _columns(table: CsvTable, problems: Problems) -> list[_Column]:
+def _columns(table: CsvTable, problems: Problems) -> dict[str, Named]:
     """Return the columns, components of vectors in order; report names that are unknown, duplicate or missing."""
-    columns: list[_Column] = []
+    columns = {name: its for name in table.names if (its := _TARGETS.find(name)) is not None}
     for name in table.names:
-        if match := _PER_JOINT.fullmatch(name):
-            columns.append(_Column(name, ("approach", int(match.group(1)) - 1)))
-        elif name in _WORDS:
-            columns.append(_Column(name, _WORDS[name]))
-        elif name in _COLUMNS:
-            columns.append(_COLUMNS[name])
-        else:
+        if name not in columns:
             problems.add(1, name, _unknown(name))
-    first: dict[KeyPath | str, _Column] = {}
-    for column in columns:
-        if (before := first.setdefault(column.path, column)) is not column:
-            problems.add(1, column.name, f"the same value as column {before.name}; keep one")
-        what = _MIXED.get(str(column.vector[-1])) if column.vector else None
-        if what and (before := first.setdefault(what, column)).unit != column.unit:
-            text = f"column {before.name} is in {before.unit}; give all {what} of a file in one unit"
-            problems.add(1, column.name, text)
+    first: dict[str | tuple[str, int], str] = {}
+    for name, (column, place, unit) in columns.items():
+        if (before := first.setdefault((column.name, place), name)) != name:
+            problems.add(1, name, f"the same value as column {before}; keep one")
+        what = _MIXED.get(column.name.removeprefix("partner."))
+        if what and (other := columns[before := first.setdefault(what, name)].unit) != unit:
+            problems.add(1, name, f"column {before} is in {other}; give all {what} of a file in one unit")
     _check_complete(table, columns, problems)
-    return sorted(columns, key=lambda column: column.path[-1] if isinstance(column.path[-1], int) else -1)
+    return dict(sorted(columns.items(), key=lambda one: one[1].place))
 
 
 def _unknown(name: str) -> str:
-    stem = name if name in _UNITS else name.rpartition("_")[0]
-    if stem in _UNITS:
-        return f"its unit is missing or none of this column; name it {_choices(stem)}"
-    known = did_you_mean(name, [*_WORDS, *_COLUMNS, "approach1"], " (is '{}' meant?)")
+    column = _OF_STEM.get(stem := name) or _OF_STEM.get(stem := name.rpartition("_")[0])
+    if column is not None:
+        return f"its unit is missing or none of this column; name it {_choices(stem, column)}"
+    known = did_you_mean(name, [*_TARGETS.by_name, "approach1"], " (is '{}' meant?)")
     return f"unknown column{known}; remove it, or correct its name"
 
 
-def _choices(stem: str) -> str:
-    """Return the allowed names of a column."""
-    return " or ".join(f"{stem}_{unit}" if unit else stem for unit in _UNITS[stem][1])
+def _choices(stem: str, column: Column, unit: str | None = None) -> str:
+    """Return the allowed names of a column; the one in this unit if it is given."""
+    return " or ".join(f"{stem}_{one}" if one else stem for one in (column.units if unit is None else (unit,)))
 
 
-def _check_complete(table: CsvTable, columns: Sequence[_Column], problems: Problems) -> None:
+def _check_complete(table: CsvTable, columns: Mapping[str, Named], problems: Problems) -> None:
     """Report missing columns: those that every target needs, and the rest of a vector."""
-    given = {column.path for column in columns}
-    partner = [("partner", "position")] if any(path[0] == "partner" for path in given) else []
-    for name in ["name", "arm", *("partner_arm" for _ in partner)]:
-        if name not in table.names:
-            problems.add(1, name, "the column is missing")
-    units = {column.vector: column.unit for column in columns}
+    units = {its.column.name: its.unit for its in columns.values()}
+    partner = any(name.startswith("partner.") for name in units)
     there = {*table.names, *(name.rpartition("_")[0] for name in table.names)}  # a wrong unit was reported already
-    for stem, (path, _) in _UNITS.items():
-        used = path[:-1] in units or path[:-1] in [("position",), *partner]
-        if isinstance(path[-1], int) and used and path not in given and stem not in there:
-            unit = units.get(path[:-1])
-            problems.add(1, f"{stem}_{unit}" if unit else _choices(stem), "the column is missing")
-    joints = sorted(int(column.path[1]) for column in columns if column.path[0] == "approach")
-    for joint in set(range(len(joints))).difference(joints):
-        problems.add(1, f"approach{joint + 1}", "the column is missing")
+    for stem, column in _TARGETS.missing(columns, sum(its.column.shape == "joints" for its in columns.values())):
+        wanted = stem not in there or column.shape in ("scalar", "joints")
+        if wanted and (partner or not column.name.startswith("partner.")):
+            problems.add(1, _choices(stem, column, units.get(column.name)), "the column is missing")
 
 
 # -- the rows ---------------------------------------------------------------------------------------------------------
 
 
-def _row(table: CsvTable, index: int, columns: Sequence[_Column], joints: Mapping[str, int]) -> dict[str, Any]:
+def _row(
+    table: CsvTable, index: int, columns: Mapping[str, Named], paths: Mapping[str, KeyPath], joints: Mapping[str, int]
+) -> dict[str, Any]:
     """Return the keys of one target; an empty cell of a vector that has others is None, a sign among others 0."""
     row: dict[str, Any] = {}
     vectors: dict[KeyPath, list[Any]] = {}
-    for column in columns:
-        text = table.cells[column.name][index].strip()
-        if column.name in _WORDS:
-            if text or column.name in ("name", "arm"):
-                _enter(row, column.path, unquoted_text(text))
-        elif column.vector:
-            vectors.setdefault(column.vector, []).append(_value(text, column.unit))
+    for name, (column, _, unit) in columns.items():
+        text = table.cells[name][index].strip()
+        if column.dtype is str:
+            if text or name in ("name", "arm"):
+                _enter(row, paths[name], unquoted_text(text))
+        elif column.shape != "scalar":
+            vectors.setdefault(paths[name][:-1], []).append(_value(text, unit))
         elif text:
-            _enter(row, column.path, _value(text, column.unit))
+            _enter(row, paths[name], _value(text, unit))
     for path, vector in vectors.items():
         filled = max((place for place, value in enumerate(vector, start=1) if value is not None), default=0)
         if path == ("approach",):  # columns of joints that the arm does not have may be empty
@@ -213,7 +189,7 @@ def _row(table: CsvTable, index: int, columns: Sequence[_Column], joints: Mappin
 def _value(text: str, unit: str) -> str | float | int | None:
     """Return a cell as it would be in YAML, a whole number as such; None if it is empty."""
     if unit or not text:
-        return f"{text} {unit}" if text else None
+        return f"{text} {_IN_YAML.get(unit, unit)}" if text else None
     try:
         value = float(text)
     except ValueError:

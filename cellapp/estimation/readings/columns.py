@@ -54,12 +54,12 @@ class Fault:
 
 @dataclass(frozen=True)
 class Column:
-    """One quantity of a reading.
+    """One quantity of a reading, or of a row of another table that a ``TableSpec`` describes.
 
     Attributes
     ----------
     name : str
-        Attribute of ``Readings``.
+        Attribute of ``Readings``; of targets, the key in YAML.
     unit : str
         SI unit, or "" for a number or word without one.
     csv : tuple of str
@@ -85,6 +85,8 @@ class Column:
         per reading.
     since : int
         Schema of the run file that introduced the column.
+    units : tuple of str
+        Units one of which follows each name in ``csv`` after an underscore; "" if the name is whole.
     """
 
     name: str
@@ -99,6 +101,7 @@ class Column:
     expected: str = ""
     check: Callable[[NDArray[Any]], Fault | None] | None = None
     since: int = 1
+    units: tuple[str, ...] = ("",)
 
     @property
     def sql_name(self) -> str:

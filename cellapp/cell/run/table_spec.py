@@ -1,12 +1,17 @@
-"""The rows of one arm in a table of readings, column by column: numbers and words are parsed, errors noted by line."""
+"""What a table of a kind may hold, and its rows column by column: numbers and words are parsed, errors noted by line.
+
+A header is read by its ``TableSpec``: which quantity a name is, what is missing, which joints no arm has.
+"""
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,32 +20,78 @@ from cellapp.cell.run.csv_text import NUMBER, WHOLE, CsvTable, Problems, short, 
 from cellapp.estimation.readings.columns import COLUMNS, CONFIGURATION, Column, beyond_limits
 from cellapp.estimation.readings.readings import Readings
 
-
-def is_known(name: str) -> bool:
-    """Return whether a CSV column is one of ``COLUMNS`` or the arm."""
-    return name == "arm" or stem_and_joint(name) is not None or any(name in column.csv for column in not_per_joint())
+_NO_NUMBER = -(10**18)
+"""Stands for a cell that is no whole number; it is less than all that ``WHOLE`` describes."""
 
 
-def not_per_joint() -> list[Column]:
-    """Return the columns of ``COLUMNS`` that a reading has once."""
-    return [column for column in COLUMNS if column.shape != "joints"]
+class Named(NamedTuple):
+    """What the name of a column says: a quantity, the place in its ``csv_names``, the unit that follows the stem."""
+
+    column: Column
+    place: int
+    unit: str = ""
 
 
-def stem_and_joint(name: str) -> tuple[str, int] | None:
-    """Split the name of a column that belongs to one joint into stem and number; None for other columns."""
-    match = re.fullmatch(r"(\w*?)([1-9][0-9]*)", name)
-    if match and any(column.shape == "joints" and column.csv == (match.group(1),) for column in COLUMNS):
-        return match.group(1), int(match.group(2))
-    return None
+@dataclass(frozen=True)
+class TableSpec:
+    """The quantities that a kind of table holds; their columns are found by name."""
+
+    columns: tuple[Column, ...]
+
+    @cached_property
+    def by_name(self) -> Mapping[str, Named]:
+        """All columns by name, one for each unit, without those of each joint."""
+        return {
+            f"{stem}_{unit}" if unit else stem: Named(column, place, unit)
+            for column in self.columns
+            if column.shape != "joints"
+            for place, stem in enumerate(column.csv)
+            for unit in column.units
+        }
+
+    def find(self, name: str) -> Named | None:
+        """Return what a column holds; None if it is unknown."""
+        if match := re.fullmatch(r"(\w*?)([1-9][0-9]*)", name):
+            for column in self.columns:
+                if column.shape == "joints" and column.csv == (match[1],):
+                    return Named(column, int(match[2]) - 1)
+        return self.by_name.get(name)
+
+    def names(self, joints: int) -> list[str]:
+        """Return all columns of an arm with this number of joints, without units."""
+        return [name for column in self.columns for name in column.csv_names(joints)]
+
+    def missing(self, names: Collection[str], joints: int = 1) -> list[tuple[str, Column]]:
+        """Return what a header lacks, without units: of required quantities, and of those that it has in part."""
+        there = {(its.column.name, its.place) for its in map(self.find, names) if its is not None}
+        given = {quantity for quantity, _ in there}
+        return [
+            (name, column)
+            for column in self.columns
+            if column.required or column.name in given
+            for place, name in enumerate(column.csv_names(joints))
+            if (column.name, place) not in there
+        ]
+
+    def beyond(self, names: Collection[str], joints: int) -> list[str]:
+        """Return the columns of joints that an arm does not have, by quantity."""
+        found = [(name, its) for name in names if (its := self.find(name)) is not None]
+        found = [(name, its) for name, its in found if its.column.shape == "joints" and its.place >= joints]
+        return [name for name, its in sorted(found, key=lambda one: self.columns.index(one[1].column))]
+
+
+READINGS = TableSpec((Column("arm", "", ("arm",), dtype=str, required=True), *COLUMNS))
+"""Readings at rest: a row per arm per stop."""
 
 
 @dataclass(frozen=True)
 class ArmCells:
-    """The rows of one arm, column by column; errors are noted in ``problems``."""
+    """The rows of one arm, column by column; in ``problems`` is noted the first error of a column, or ``every`` one."""
 
     table: CsvTable
     rows: Sequence[int]
     problems: Problems
+    every: bool = False
 
     def texts(self, name: str) -> list[str]:
         cells = self.table.cells[name]
@@ -52,28 +103,31 @@ class ArmCells:
     def refuse(self, index: int, name: str, text: str) -> None:
         self.problems.add(self.line(index), name, text)
 
+    def expect(
+        self, name: str, texts: Sequence[str], right: NDArray[np.bool_], what: str, required: bool = True
+    ) -> None:
+        """Note the cells of a column that are not right; empty ones if they are required."""
+        wrong = (index for index in np.flatnonzero(~right).tolist() if texts[index] or required)
+        for index in itertools.islice(wrong, None if self.every else 1):
+            text = f"expected {what}, got '{short(texts[index])}'" if texts[index] else "the value is missing"
+            self.refuse(index, name, text)
+
     def numbers(self, name: str, *, required: bool) -> NDArray[np.float64]:
-        """Parse a column to (n,), NaN for an empty cell that is not required; note its first wrong cell.
+        """Parse a column to (n,), NaN for a wrong cell, and for an empty one that is not required.
 
         ``float`` alone accepts more than decimal numbers: nan, 1_000, digits of other scripts.
         """
         texts = [text.strip() for text in self.texts(name)]
         values = np.array([float(text) if NUMBER.fullmatch(text) else math.nan for text in texts])
-        wrong = (index for index in np.flatnonzero(~np.isfinite(values)).tolist() if texts[index] or required)
-        if (index := next(wrong, None)) is not None:
-            text = f"expected a finite number such as 0.25, got '{short(texts[index])}'"
-            self.refuse(index, name, text if texts[index] else "the value is missing")
+        self.expect(name, texts, np.isfinite(values), "a finite number such as 0.25", required)
         return values
 
-    def whole_numbers(self, name: str) -> NDArray[np.int64]:
+    def whole_numbers(self, name: str, least: int = _NO_NUMBER + 1) -> NDArray[np.int64]:
         """Parse a column of integers to (n,), not via floats, which would round large ones."""
         texts = [text.strip() for text in self.texts(name)]
-        for index, text in enumerate(texts):
-            if not WHOLE.fullmatch(text):
-                what = f"expected a whole number, got '{short(text)}'" if text else "the value is missing"
-                self.refuse(index, name, what)
-                return np.zeros(len(texts), dtype=np.int64)
-        return np.array([int(text) for text in texts], dtype=np.int64)
+        values = np.array([int(text) if WHOLE.fullmatch(text) else _NO_NUMBER for text in texts], dtype=np.int64)
+        self.expect(name, texts, values >= least, "a whole number from 0" if least == 0 else "a whole number")
+        return values
 
     def words(self, column: Column) -> tuple[str | None, ...] | None:
         """Return a column of words, None for an empty cell; None if all are empty or the file lacks the column."""
@@ -131,22 +185,20 @@ def read_arm(cells: ArmCells, arm: str, joints: int, limits: NDArray[np.float64]
     _check_once(cells, configuration, arm, words)
     if problems.count > before:
         return None
-    extras = {name: tuple(map(unquoted_text, cells.texts(name))) for name in cells.table.names if not is_known(name)}
+    extras = {
+        name: tuple(map(unquoted_text, cells.texts(name))) for name in cells.table.names if not READINGS.find(name)
+    }
     return Readings(**values, extras=extras)
 
 
 def _check_joint_columns(cells: ArmCells, arm: str, joints: int) -> None:
     """Check that a quantity per joint has a column for each joint of the arm and no value for any other."""
-    for column in (column for column in COLUMNS if column.shape == "joints"):
-        own = column.csv_names(joints)
-        there = [name for name in cells.table.names if (stem_and_joint(name) or ("",))[0] == column.csv[0]]
-        for name in own if there else ():
-            if name not in there:
-                cells.problems.add(1, name, f"the column is missing; arm {arm} has {joints} joints")
-        for name in there:
-            filled = next((index for index, text in enumerate(cells.texts(name)) if text.strip()), None)
-            if name not in own and filled is not None:
-                cells.refuse(filled, name, f"there is a value, but arm {arm} has {joints} joints in the profile")
+    for name, _ in READINGS.missing(cells.table.names, joints):  # of joints: the header was checked for all others
+        cells.problems.add(1, name, f"the column is missing; arm {arm} has {joints} joints")
+    for name in READINGS.beyond(cells.table.names, joints):
+        filled = next((index for index, text in enumerate(cells.texts(name)) if text.strip()), None)
+        if filled is not None:
+            cells.refuse(filled, name, f"there is a value, but arm {arm} has {joints} joints in the profile")
 
 
 def _check_once(
